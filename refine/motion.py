@@ -1,0 +1,121 @@
+"""The Motion value: one clip of one body, and the plain operations on it."""
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import torch
+from torch import Tensor
+
+from renderers.checks import UserError, check_finite, check_shapes
+from renderers.rotations import heading, matrix_from_6d, matrix_to_6d, rotation_about, slerp
+from renderers.skeleton import JOINT_NAMES, MIRRORED, forward_kinematics
+
+
+@dataclass(frozen=True, eq=False)
+class Motion:
+    """One clip: y up, metres, seconds.
+
+    Attributes:
+        rotations: [T 24 3 3] local rotations relative to the T-pose in SMPL's order; joint 0 is the global orientation.
+        root: [T 3] world position of the pelvis *joint* (SMPL's ``transl`` plus the rest pelvis).
+        fps: frames per second.
+        label: the action's name, for example ``"wave-both-hands"``.
+        source: where the clip came from, for messages.
+
+    Raises:
+        ShapeError: the two tensors disagree.
+        UserError: no frame, a value that is not finite, or a frame rate that is not positive.
+    """
+
+    rotations: Tensor
+    root: Tensor
+    fps: float
+    label: str = ""
+    source: str = "motion"
+
+    def __post_init__(self):
+        sizes = check_shapes("Motion", rotations=(self.rotations, "T 24 3 3"), root=(self.root, "T 3"))
+        if sizes["T"] == 0:
+            raise UserError(self.source, "has no frames", "give a clip of at least two frames")
+        if not 0 < self.fps < 10_000:
+            raise UserError(self.source, f"frame rate {self.fps} is not a number of frames per second")
+        check_finite(self.source, self.rotations, "frame joint row column", {"joint": JOINT_NAMES})
+        check_finite(self.source, self.root, "frame coordinate")
+
+    def __len__(self) -> int:
+        return self.root.shape[0]
+
+    @property
+    def seconds(self) -> float:
+        return len(self) / self.fps
+
+    @cached_property
+    def six(self) -> Tensor:
+        """[T 24 6] rotations as first two rows."""
+        return matrix_to_6d(self.rotations)
+
+    def joints(self, rest_joints: Tensor) -> Tensor:
+        """World joints [T 24 3] in metres on a skeleton with the given T-pose joints [24 3]."""
+        return forward_kinematics(self.rotations, self.root, rest_joints)[0]
+
+    def to(self, *args, **kwargs) -> "Motion":
+        """As ``Tensor.to`` on both tensors."""
+        return replace(self, rotations=self.rotations.to(*args, **kwargs), root=self.root.to(*args, **kwargs))
+
+
+def crop(motion: Motion, start: int, stop: int) -> Motion:
+    """Frames ``start`` to ``stop`` (exclusive)."""
+    if not 0 <= start < stop <= len(motion):
+        raise UserError(motion.source, f"frames {start} to {stop} asked for, it has {len(motion)}", "choose frames inside")
+    return replace(motion, rotations=motion.rotations[start:stop], root=motion.root[start:stop])
+
+
+def resample(motion: Motion, fps: float) -> Motion:
+    """The same motion at another frame rate: rotations by slerp, root linearly, never past the last frame."""
+    if not 0 < fps < 10_000:
+        raise UserError("resample(fps)", f"expected a positive frame rate, got {fps}")
+    if fps == motion.fps or len(motion) == 1:
+        return replace(motion, fps=fps)
+    frames = max(2, int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1)
+    at = (torch.arange(frames, dtype=torch.float64) * (motion.fps / fps)).clamp(max=len(motion) - 1)
+    low = at.floor().long().clamp(max=len(motion) - 2)
+    weight = (at - low).to(motion.root)
+    rotations = slerp(motion.rotations[low], motion.rotations[low + 1], weight[:, None].expand(-1, len(JOINT_NAMES)))
+    root = torch.lerp(motion.root[low], motion.root[low + 1], weight[:, None])
+    return replace(motion, rotations=rotations, root=root, fps=fps)
+
+
+def canonicalise(motion: Motion) -> Motion:
+    """Turned and moved so that the first frame faces +z and stands at x = z = 0; heights and later turns are kept.
+
+    True yaw (swing-twist), protocol B.4 no. 24 and G.15.
+    """
+    turn = rotation_about("y", -heading(motion.rotations[0, 0]))
+    rotations = motion.rotations.clone()
+    rotations[:, 0] = turn @ rotations[:, 0]
+    start = motion.root[0] * motion.root.new_tensor([1.0, 0.0, 1.0])
+    return replace(motion, rotations=rotations, root=(motion.root - start) @ turn.mT)
+
+
+def mirror(motion: Motion) -> Motion:
+    """Left and right exchanged (reflection in the plane x = 0)."""
+    flip = motion.root.new_tensor([-1.0, 1.0, 1.0])
+    rotations = flip[:, None] * motion.rotations[:, list(MIRRORED)] * flip
+    return replace(motion, rotations=rotations, root=motion.root * flip)
+
+
+def to_features(six: Tensor, root: Tensor) -> Tensor:
+    """ACTOR's layout (protocol A.4): six [... T 24 6], root [... T 3] metres -> [... T 25 6].
+
+    Row 24 holds the root relative to the first frame in its first three features and zeros behind.
+    """
+    check_shapes("to_features", six=(six, "... 24 6"), root=(root, "... 3"))
+    relative = root - root[..., :1, :]
+    row = torch.cat([relative, torch.zeros_like(relative)], dim=-1)
+    return torch.cat([six, row[..., None, :]], dim=-2)
+
+
+def from_features(features: Tensor) -> tuple[Tensor, Tensor]:
+    """[... T 25 6] -> rotations [... T 24 3 3] and root relative to the first frame [... T 3] in metres."""
+    check_shapes("from_features", features=(features, "... 25 6"))
+    return matrix_from_6d(features[..., :24, :]), features[..., 24, :3]

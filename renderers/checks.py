@@ -1,0 +1,83 @@
+"""Checks at public entries, and the one place that words errors.
+
+An error names the place, what was expected, what came, and what to do next, in one line.
+"""
+
+from pathlib import Path
+
+import numpy as np
+import torch
+from torch import Tensor
+
+
+class UserError(ValueError):
+    """Something the user can mend: one line on stderr, exit code 2."""
+
+    def __init__(self, where: str | Path, problem: str, remedy: str = ""):
+        self.where, self.problem, self.remedy = str(where), problem, remedy
+        super().__init__(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
+
+
+class ShapeError(UserError):
+    """A tensor does not have the shape its name promises."""
+
+
+def check_shapes(where: str, bound: dict[str, int] | None = None, /, **tensors: tuple[Tensor | np.ndarray, str]):
+    """Check that shapes fit their axis names, where one name means one size in the whole call.
+
+    Each keyword is ``name=(tensor, "N V 3")``: words bind to a size, numbers must be met, a leading ``...``
+    takes any batch axes. Returns the bound sizes, so that a later call can continue with them.
+
+    >>> check_shapes("f", a=(torch.zeros(2, 5, 3), "N V 3"), b=(torch.zeros(2), "N"))
+    {'N': 2, 'V': 5}
+
+    Raises:
+        ShapeError: an axis has another size than its name is bound to; the message shows both.
+    """
+    sizes = dict(bound or {})
+    for name, (tensor, spec) in tensors.items():
+        axes = spec.split()
+        shape = tuple(tensor.shape)
+        if axes and axes[0] == "...":
+            axes = axes[1:]
+            trailing = shape[len(shape) - len(axes) :] if len(shape) >= len(axes) else None
+        else:
+            trailing = shape if len(shape) == len(axes) else None
+        fits = trailing is not None
+        for axis, size in zip(axes, trailing or (), strict=fits):
+            expected = int(axis) if axis.isdigit() else sizes.setdefault(axis, size)
+            fits = fits and size == expected
+        if not fits:
+            known = ", ".join(f"{axis}={size}" for axis, size in sizes.items() if axis in axes)
+            raise ShapeError(
+                f"{where}({name})",
+                f"expected shape [{spec}]" + (f" with {known}" if known else "") + f", got {list(shape)}",
+            )
+    return sizes
+
+
+def check_finite(where: str | Path, values: Tensor | np.ndarray, axes: str, names: dict[str, tuple[str, ...]] | None = None):
+    """Refuse NaN and infinity, saying where the first one stands.
+
+    Args:
+        values: any shape.
+        axes: a word for each axis, such as ``"frame joint coordinate"``.
+        names: for an axis, the words for its indices (joint names).
+
+    Raises:
+        UserError: naming the index along every axis of the first value that is not finite.
+    """
+    array = values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+    bad = ~np.isfinite(array)
+    if not bad.any():
+        return
+    first = np.argwhere(bad)[0]
+    place = ", ".join(
+        f"{axis} {(names or {}).get(axis, {}) [index] if axis in (names or {}) else index}"
+        for axis, index in zip(axes.split(), first, strict=True)
+    )
+    raise UserError(
+        where,
+        f"value {array[tuple(first)]} at {place} ({int(bad.sum())} of {bad.size} values are not finite)",
+        "repair or crop the file",
+    )

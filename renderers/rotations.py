@@ -1,0 +1,77 @@
+"""Rotations: axis-angle, matrix, 6D. The only file that converts between them.
+
+Matrices act on column vectors (``R @ v``). Axis-angle is in radians. 6D is the **first two rows** of the matrix,
+flattened row-major, as ACTOR, TEMOS and SINC use it; HumanML3D's is the first two columns, so files of the two
+families must never be mixed. Quaternions stay inside this file.
+"""
+
+import torch
+from torch import Tensor
+
+from renderers.checks import check_shapes
+
+
+def axis_angle_to_matrix(axis_angle: Tensor) -> Tensor:
+    """[... 3] radians -> [... 3 3]; exact with finite gradients at 0 and pi."""
+    from kornia.geometry.conversions import axis_angle_to_rotation_matrix
+
+    check_shapes("axis_angle_to_matrix", axis_angle=(axis_angle, "... 3"))
+    return axis_angle_to_rotation_matrix(axis_angle.reshape(-1, 3)).reshape(*axis_angle.shape[:-1], 3, 3)
+
+
+def matrix_to_axis_angle(matrix: Tensor) -> Tensor:
+    """[... 3 3] -> [... 3] radians, with an angle in [0, pi]."""
+    from kornia.geometry.conversions import rotation_matrix_to_axis_angle
+
+    check_shapes("matrix_to_axis_angle", matrix=(matrix, "... 3 3"))
+    return rotation_matrix_to_axis_angle(matrix.reshape(-1, 3, 3)).reshape(*matrix.shape[:-2], 3)
+
+
+def matrix_to_6d(matrix: Tensor) -> Tensor:
+    """[... 3 3] -> [... 6]: row 0, then row 1 (protocol A.1)."""
+    check_shapes("matrix_to_6d", matrix=(matrix, "... 3 3"))
+    return matrix[..., :2, :].reshape(*matrix.shape[:-2], 6)
+
+
+def matrix_from_6d(six: Tensor) -> Tensor:
+    """[... 6] -> [... 3 3] by Gram-Schmidt on the two rows; the third row is their cross product.
+
+    The length of either row does not matter. Two parallel rows have no rotation; they give a matrix that is finite
+    but not orthonormal.
+    """
+    check_shapes("matrix_from_6d", six=(six, "... 6"))
+    first = torch.nn.functional.normalize(six[..., :3], dim=-1)
+    second = six[..., 3:] - (first * six[..., 3:]).sum(-1, keepdim=True) * first
+    second = torch.nn.functional.normalize(second, dim=-1)
+    return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-2)
+
+
+def rotation_angle(matrix: Tensor) -> Tensor:
+    """[... 3 3] -> [...] angle in radians in [0, pi]."""
+    return matrix_to_axis_angle(matrix).norm(dim=-1)
+
+
+def rotation_about(axis: str, angle: Tensor) -> Tensor:
+    """Rotation about the world axis ``"x"``, ``"y"`` or ``"z"`` by ``angle`` [...] radians -> [... 3 3]."""
+    cos, sin, zero, one = angle.cos(), angle.sin(), torch.zeros_like(angle), torch.ones_like(angle)
+    rows = {
+        "x": (one, zero, zero, zero, cos, -sin, zero, sin, cos),
+        "y": (cos, zero, sin, zero, one, zero, -sin, zero, cos),
+        "z": (cos, -sin, zero, sin, cos, zero, zero, zero, one),
+    }[axis]
+    return torch.stack(rows, dim=-1).reshape(*angle.shape, 3, 3)
+
+
+def heading(matrix: Tensor) -> Tensor:
+    """Yaw about world y, in radians, of a body orientation [... 3 3] -> [...].
+
+    The twist part of the swing-twist decomposition about y: 0 for a body that faces +z, exact for any lean short of
+    upside down. ``rotation_about("y", heading(R)).mT @ R`` has heading 0.
+    """
+    return torch.atan2(matrix[..., 0, 2] - matrix[..., 2, 0], matrix[..., 0, 0] + matrix[..., 2, 2])
+
+
+def slerp(start: Tensor, end: Tensor, weight: Tensor) -> Tensor:
+    """Along the shortest arc from ``start`` [... 3 3] (weight 0) to ``end`` [... 3 3] (weight 1); weight [...]."""
+    step = matrix_to_axis_angle(start.mT @ end)
+    return start @ axis_angle_to_matrix(weight[..., None] * step)

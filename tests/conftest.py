@@ -1,0 +1,28 @@
+"""Shared fixtures: real clips where they are, and one thread count so that timings and sums repeat."""
+
+import os
+import zipfile
+from pathlib import Path
+
+import pytest
+import torch
+
+SHARED = Path(os.environ.get("REFINE_SHARED", Path(__file__).resolve().parents[2] / "shared"))
+
+
+@pytest.fixture(scope="session")
+def real_clips(tmp_path_factory) -> list[Path]:
+    """The 594 Bandai-Namco BVH clips, unpacked."""
+    archives = sorted((SHARED / "data" / "bandai-namco").glob("*.zip"))
+    if not archives:
+        pytest.skip(f"the Bandai-Namco clips are not at {SHARED / 'data' / 'bandai-namco'} (set REFINE_SHARED)")
+    folder = tmp_path_factory.mktemp("bandai-namco")
+    for archive in archives:
+        with zipfile.ZipFile(archive) as packed:
+            packed.extractall(folder)
+    return sorted(folder.rglob("*.bvh"))
+
+
+@pytest.fixture
+def generator() -> torch.Generator:
+    return torch.Generator().manual_seed(0)
