@@ -3,6 +3,8 @@
 An error names the place, what was expected, what came, and what to do next, in one line.
 """
 
+import difflib
+from collections.abc import Iterable
 from pathlib import Path
 
 import numpy as np
@@ -81,3 +83,16 @@ def check_finite(where: str | Path, values: Tensor | np.ndarray, axes: str, name
         f"value {array[tuple(first)]} at {place} ({int(bad.sum())} of {bad.size} values are not finite)",
         "repair or crop the file",
     )
+
+
+def check_known(where: str | Path, name: str, known: Iterable[str]):
+    """Refuse a name that is not among the known ones.
+
+    Raises:
+        UserError: offering the names nearest in spelling, or all of them when none is near.
+    """
+    known = list(known)
+    if name in known:
+        return
+    near = difflib.get_close_matches(name, known, n=3) or known
+    raise UserError(where, f"unknown name {name!r}", f"did you mean {', '.join(near)}?")

@@ -1,0 +1,185 @@
+"""The generator: ACTOR's transformer CVAE with soft labels (protocol B.1), as LFCA trains it on compositions (B.3).
+
+A label is a row of weights over the classes: a composition of i and j is ``lam * e_i + (1 - lam) * e_j``. The weights
+multiply into all three label tables; a one-hot row is exactly ACTOR's hard label.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+
+from refine.motion import Motion, from_features
+from renderers.checks import UserError, check_known, check_shapes
+from renderers.skeleton import JOINT_NAMES, forward_kinematics
+
+ROWS, FEATURES = len(JOINT_NAMES) + 1, 6
+
+
+@dataclass(frozen=True)
+class GeneratorConfig:
+    """Everything needed to build the network again and to read its output.
+
+    Attributes:
+        classes: names of the sub-actions, in the order of the label tables.
+        fps: frame rate of the motions it is trained on, hence of those it makes.
+        latent, feedforward, heads, layers, dropout: of encoder and decoder alike.
+    """
+
+    classes: tuple[str, ...]
+    fps: float = 30.0
+    latent: int = 256
+    feedforward: int = 1024
+    heads: int = 4
+    layers: int = 8
+    dropout: float = 0.1
+
+    def __post_init__(self):
+        if not self.classes:
+            raise UserError("GeneratorConfig(classes)", "there is no sub-action", "name at least one")
+        if self.latent % self.heads or self.latent % 2:
+            raise UserError(
+                "GeneratorConfig(latent)",
+                f"{self.latent} is not even and divisible by {self.heads} heads",
+                "choose a multiple of both",
+            )
+
+    @staticmethod
+    def paper(classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
+        return GeneratorConfig(classes, fps)
+
+    @staticmethod
+    def tiny(classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
+        return GeneratorConfig(classes, fps, latent=128, feedforward=256, layers=2, dropout=0.0)
+
+
+class Reconstruction(NamedTuple):
+    """features [B T 25 6], mean [B D] and log_variance [B D] of the posterior."""
+
+    features: Tensor
+    mean: Tensor
+    log_variance: Tensor
+
+
+def positions(length: int, width: int) -> Tensor:
+    """Sinusoidal position encoding [length, width]: even features sine, odd cosine, base 10000."""
+    rates = torch.exp(torch.arange(0, width, 2) * (-torch.log(torch.tensor(10000.0)) / width))
+    angles = torch.arange(length)[:, None] * rates
+    return torch.stack([angles.sin(), angles.cos()], dim=-1).flatten(1)
+
+
+class Generator(nn.Module):
+    """The CVAE. Features are those of ``refine.motion.to_features``: [B T 25 6]."""
+
+    def __init__(self, config: GeneratorConfig):
+        super().__init__()
+        self.config = config
+        table = (len(config.classes), config.latent)
+        self.mean_tokens = nn.Parameter(torch.randn(table))
+        self.variance_tokens = nn.Parameter(torch.randn(table))
+        self.decoder_biases = nn.Parameter(torch.randn(table))
+        self.read = nn.Linear(ROWS * FEATURES, config.latent)
+        self.write = nn.Linear(config.latent, ROWS * FEATURES)
+        self.dropout = nn.Dropout(config.dropout)
+        layer = (config.latent, config.heads, config.feedforward, config.dropout, "gelu")
+        self.encoder = nn.TransformerEncoder(
+            nn.TransformerEncoderLayer(*layer, batch_first=True), config.layers, enable_nested_tensor=False
+        )
+        self.decoder = nn.TransformerDecoder(nn.TransformerDecoderLayer(*layer, batch_first=True), config.layers)
+
+    def encode(self, features: Tensor, weights: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
+        """Posterior mean and log variance, each [B D].
+
+        Args:
+            features: [B T 25 6].
+            weights: [B C] label weights, each row summing to 1.
+            valid: [B T] True = a real frame.
+        """
+        tokens = torch.stack([weights @ self.mean_tokens, weights @ self.variance_tokens], dim=1)
+        sequence = torch.cat([tokens, self.read(features.flatten(2))], dim=1)
+        sequence = self.dropout(sequence + positions(sequence.shape[1], sequence.shape[2]).to(sequence))
+        hidden = torch.cat([torch.zeros_like(valid[:, :2]), ~valid], dim=1)
+        encoded = self.encoder(sequence, src_key_padding_mask=hidden)
+        return encoded[:, 0], encoded[:, 1]
+
+    def decode(self, latent: Tensor, weights: Tensor, valid: Tensor) -> Tensor:
+        """Features [B T 25 6] from latent [B D], label weights [B C] and valid [B T]; padded frames are zero."""
+        frames = valid.shape[1]
+        memory = (latent + weights @ self.decoder_biases)[:, None]
+        queries = self.dropout(positions(frames, latent.shape[1]).to(latent).expand(len(latent), -1, -1))
+        decoded = self.write(self.decoder(queries, memory, tgt_key_padding_mask=~valid))
+        return decoded.unflatten(-1, (ROWS, FEATURES)) * valid[:, :, None, None]
+
+    def forward(self, features: Tensor, weights: Tensor, valid: Tensor, generator: torch.Generator) -> Reconstruction:
+        """Encode, draw the latent by reparameterisation, decode. Shapes as in ``encode``."""
+        check_shapes(
+            "Generator",
+            {"C": len(self.config.classes)},
+            features=(features, "B T 25 6"),
+            weights=(weights, "B C"),
+            valid=(valid, "B T"),
+        )
+        mean, log_variance = self.encode(features, weights, valid)
+        latent = mean + (log_variance / 2).exp() * draw_normal(mean, generator)
+        return Reconstruction(self.decode(latent, weights, valid), mean, log_variance)
+
+
+def draw_normal(like: Tensor, generator: torch.Generator) -> Tensor:
+    """Standard normal numbers of the shape, type and device of ``like``; the same ones on every device."""
+    return torch.randn(like.shape, generator=generator, device=generator.device).to(like)
+
+
+def label_weights(i: Tensor, j: Tensor, lam: Tensor, classes: int) -> Tensor:
+    """Soft labels ``lam * e_i + (1 - lam) * e_j`` [B C] from class indices i [B], j [B] and lam [B]."""
+    one_hot = torch.eye(classes, dtype=lam.dtype, device=lam.device)
+    return lam[:, None] * one_hot[i] + (1 - lam)[:, None] * one_hot[j]
+
+
+@torch.no_grad()
+def generate(generator: Generator, weights: Tensor, frames: int, random: torch.Generator) -> Tensor:
+    """Draw one latent from the prior N(0, 1) for each row of label weights [B C] -> features [B T 25 6].
+
+    The generator must be in evaluation mode, or its dropout adds noise of its own.
+    """
+    check_shapes("generate", {"C": len(generator.config.classes)}, weights=(weights, "B C"))
+    latent = draw_normal(weights.new_empty(len(weights), generator.config.latent), random)
+    return generator.decode(latent, weights, torch.ones(len(weights), frames, dtype=torch.bool, device=weights.device))
+
+
+def generate_motions(
+    generator: Generator,
+    actions: Sequence[str],
+    count: int,
+    seconds: float,
+    rest_joints: Tensor,
+    random: torch.Generator,
+) -> list[Motion]:
+    """Draw ``count`` motions in which the named actions happen at once, at equal weights.
+
+    The features hold the root only relative to its first frame (protocol A.4), so each motion is set on the floor: its
+    lowest joint over all frames stands as high as the lowest joint [24 3] of the rest pose.
+
+    Raises:
+        UserError: an action the generator has not learned, no action, or a length outside 0.1 to 60 seconds.
+    """
+    classes = generator.config.classes
+    if not actions:
+        raise UserError("generate(actions)", "no action was named", f"choose from {', '.join(classes)}")
+    if not 0.1 <= seconds <= 60:
+        raise UserError("generate(seconds)", f"{seconds} s is not a length from 0.1 to 60 s")
+    for action in actions:
+        check_known("generate(actions)", action, classes)
+    weights = torch.zeros(count, len(classes))
+    for action in actions:
+        weights[:, classes.index(action)] += 1 / len(actions)
+    frames = max(2, round(seconds * generator.config.fps))
+    rotations, root = from_features(generate(generator, weights, frames, random))
+    joints, _ = forward_kinematics(rotations, root, rest_joints)
+    root[..., 1] += rest_joints[:, 1].min() - joints[..., 1].flatten(1).min(dim=1).values[:, None]
+    label = "+".join(actions)
+    return [
+        Motion(rotations[n], root[n], generator.config.fps, label, source=f"generated {label} {n}")
+        for n in range(count)
+    ]

@@ -1,0 +1,166 @@
+"""The generator against protocol G.9 and G.10."""
+
+import pytest
+import torch
+from torch import nn
+
+from refine.generator import (
+    Generator,
+    GeneratorConfig,
+    generate,
+    generate_motions,
+    label_weights,
+    positions,
+)
+from renderers.checks import ShapeError, UserError
+from renderers.skeleton import JOINTS, forward_kinematics
+
+
+def names(count: int) -> tuple[str, ...]:
+    return tuple(f"action-{index}" for index in range(count))
+
+
+@pytest.fixture(scope="module")
+def small() -> Generator:
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        return Generator(GeneratorConfig(("walk", "wave", "squat"), 30.0, latent=32, feedforward=64, layers=2)).eval()
+
+
+@pytest.fixture
+def features(generator) -> torch.Tensor:
+    return torch.randn(4, 7, 25, 6, generator=generator)
+
+
+VALID = torch.ones(4, 7, dtype=torch.bool)
+
+
+@pytest.mark.parametrize("classes, parameters", [(12, 14_832_022), (40, 14_853_526), (10, 14_830_486)])
+def test_paper_preset_has_the_published_parameter_counts(classes, parameters):
+    with torch.device("meta"):
+        model = Generator(GeneratorConfig.paper(names(classes)))
+    assert sum(parameter.numel() for parameter in model.parameters()) == parameters
+
+
+def test_positions_interleave_sine_and_cosine():
+    expected = torch.tensor(
+        [0.909297, -0.416147, 0.958144, -0.286285]
+    )  # sin 2, cos 2, sin and cos of 2 * 10000^(-1/128)
+    torch.testing.assert_close(positions(3, 256)[2, :4], expected, atol=1e-5, rtol=0)
+    halves = torch.cat([positions(3, 256)[2, 0::2], positions(3, 256)[2, 1::2]])
+    assert not torch.allclose(halves[:4], expected, atol=1e-2)
+
+
+def test_the_two_tokens_stand_before_the_frames(small, features, generator):
+    """A frame's position is 2 + its index: encoding must depend on the order of frames but see the tokens apart."""
+    weights = torch.eye(3)[[0, 1, 2, 0]]
+    seen = []
+    hook = small.encoder.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    small.encode(features, weights, VALID)
+    hook.remove()
+    places = positions(9, 32)
+    torch.testing.assert_close(seen[0][:, 0], weights @ small.mean_tokens + places[0])
+    torch.testing.assert_close(seen[0][:, 1], weights @ small.variance_tokens + places[1])
+    torch.testing.assert_close(seen[0][:, 2:], small.read(features.flatten(2)) + places[2:])
+
+
+def test_soft_one_hot_is_the_hard_label(small, features):
+    hard = torch.tensor([2, 0, 1, 1])
+    soft = label_weights(hard, torch.tensor([0, 1, 2, 0]), torch.ones(4), 3)
+    assert torch.equal(soft @ small.mean_tokens, small.mean_tokens[hard])
+    assert torch.equal(soft @ small.decoder_biases, small.decoder_biases[hard])
+
+
+def test_label_weights_mix_and_sum_to_one():
+    weights = label_weights(torch.tensor([0, 2]), torch.tensor([1, 2]), torch.tensor([0.3, 0.3]), 3)
+    torch.testing.assert_close(weights, torch.tensor([[0.3, 0.7, 0.0], [0.0, 0.0, 1.0]]))
+
+
+def test_permuting_the_batch_permutes_the_output(small, features):
+    order = torch.tensor([2, 0, 3, 1])
+    weights = torch.eye(3)[[0, 1, 2, 0]]
+    valid = VALID.clone()
+    valid[1, 4:] = False
+    mean, _ = small.encode(features, weights, valid)
+    permuted, _ = small.encode(features[order], weights[order], valid[order])
+    torch.testing.assert_close(permuted, mean[order])
+    decoded = small.decode(mean, weights, valid)
+    torch.testing.assert_close(small.decode(mean[order], weights[order], valid[order]), decoded[order])
+
+
+def test_padded_frames_are_zero_and_do_not_matter(small, features):
+    weights = torch.eye(3)[[0, 1, 2, 0]]
+    valid = VALID.clone()
+    valid[:, 5:] = False
+    other = features.clone()
+    other[:, 5:] = 9.0
+    mean, log_variance = small.encode(features, weights, valid)
+    for ours, theirs in zip((mean, log_variance), small.encode(other, weights, valid), strict=True):
+        torch.testing.assert_close(ours, theirs)
+    decoded = small.decode(mean, weights, valid)
+    assert decoded[:, 5:].abs().max() == 0
+    torch.testing.assert_close(decoded[:, :5], small.decode(mean, weights, valid[:, :5]))
+
+
+def test_no_causal_mask_so_length_changes_every_frame(small):
+    latent, weights = torch.zeros(1, 32), torch.eye(3)[:1]
+    short = small.decode(latent, weights, torch.ones(1, 6, dtype=torch.bool))
+    long = small.decode(latent, weights, torch.ones(1, 8, dtype=torch.bool))
+    assert ((short - long[:, :6]).abs().amax(dim=(2, 3)) > 1e-5).all()
+
+
+def test_the_latent_is_drawn_by_the_given_generator(small, features):
+    weights = torch.eye(3)[[0, 1, 2, 0]]
+    draws = [small(features, weights, VALID, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]
+    assert torch.equal(draws[0].features, draws[1].features)
+    assert not torch.allclose(draws[0].features, draws[2].features)
+    assert torch.equal(draws[0].mean, draws[2].mean)
+
+
+def test_latent_is_mean_plus_deviation_times_noise(small, features, monkeypatch):
+    weights = torch.eye(3)[[0, 1, 2, 0]]
+    seen = []
+    monkeypatch.setattr(small, "decode", lambda latent, *_: seen.append(latent))
+    out = small(features, weights, VALID, torch.Generator().manual_seed(3))
+    noise = torch.randn(4, 32, generator=torch.Generator().manual_seed(3))
+    torch.testing.assert_close(seen[0], out.mean + torch.exp(0.5 * out.log_variance) * noise)
+
+
+def test_generate_has_one_row_per_label_row(small):
+    weights = torch.tensor([[0.5, 0.5, 0.0], [0.0, 0.0, 1.0]])
+    made = generate(small, weights, 9, torch.Generator().manual_seed(0))
+    assert made.shape == (2, 9, 25, 6)
+    assert torch.equal(made, generate(small, weights, 9, torch.Generator().manual_seed(0)))
+
+
+def test_generated_motions_stand_on_the_floor(small):
+    rest = torch.randn(24, 3, generator=torch.Generator().manual_seed(1))
+    rest[:, 1] += 0.1 - rest[:, 1].min()
+    motions = generate_motions(small, ["walk", "wave"], 3, 0.5, rest, torch.Generator().manual_seed(0))
+    assert [len(motion) for motion in motions] == [15, 15, 15]
+    assert {motion.label for motion in motions} == {"walk+wave"}
+    for motion in motions:
+        joints, _ = forward_kinematics(motion.rotations, motion.root, rest)
+        assert joints[..., 1].min().item() == pytest.approx(0.1, abs=1e-5)
+        torch.testing.assert_close(
+            motion.rotations @ motion.rotations.mT, torch.eye(3).expand(15, 24, 3, 3), atol=1e-5, rtol=0
+        )
+    assert not torch.allclose(motions[0].root[:, JOINTS["pelvis"]], motions[1].root[:, JOINTS["pelvis"]])
+
+
+def test_an_unknown_action_offers_the_nearest(small):
+    with pytest.raises(UserError, match=r"unknown name 'wavve'; did you mean wave\?"):
+        generate_motions(small, ["wavve"], 1, 1.0, torch.zeros(24, 3), torch.Generator())
+
+
+def test_refusals(small, features):
+    with pytest.raises(UserError, match="no action was named; choose from walk, wave, squat"):
+        generate_motions(small, [], 1, 1.0, torch.zeros(24, 3), torch.Generator())
+    with pytest.raises(UserError, match=r"0\.0 s is not a length"):
+        generate_motions(small, ["walk"], 1, 0.0, torch.zeros(24, 3), torch.Generator())
+    with pytest.raises(ShapeError, match=r"expected shape \[B C\] with C=3, B=4, got \[4, 2\]"):
+        small(features, torch.zeros(4, 2), VALID, torch.Generator())
+    with pytest.raises(UserError, match="6 heads"):
+        GeneratorConfig(names(2), heads=6)
+    with pytest.raises(AssertionError):  # torch itself refuses SINC's "6 heads"
+        nn.MultiheadAttention(256, 6)
