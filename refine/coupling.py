@@ -136,24 +136,17 @@ def couple(
     """
     config = config or CouplingConfig()
     if i.fps != j.fps:
-        raise UserError(
-            "couple", f"{i.source} has {i.fps:g} fps and {j.source} {j.fps:g}", "resample one of them first"
-        )
+        raise UserError("couple", f"{i.source} has {i.fps:g} fps, {j.source} {j.fps:g}", "resample one of them first")
     if not 0 <= lam <= 1:
         raise UserError("couple(lam)", f"expected a weight between 0 and 1, got {lam}")
     frames = min(len(i), len(j))
-    parts = []
-    for clip in (i, j):
-        rotations, root = clip.rotations[:frames], clip.root[:frames]
-        parts.append(
-            (rotations, root, joint_energies(energy_signal(rotations, root, rest_joints, config.energy_space)))
-        )
-    (rotations_i, root_i, energies_i), (rotations_j, root_j, energies_j) = parts
-    weights = coupling_weights(energies_i, energies_j, lam, config)
-    rotations, root = blend(rotations_i, root_i, rotations_j, root_j, weights, rest_joints, config.blend_space)
+    poses = [(clip.rotations[:frames], clip.root[:frames]) for clip in (i, j)]
+    energies = [joint_energies(energy_signal(*pose, rest_joints, config.energy_space)) for pose in poses]
+    weights = coupling_weights(*energies, lam, config)
+    rotations, root = blend(*poses[0], *poses[1], weights, rest_joints, config.blend_space)
     label = "+".join(label for label in (i.label, j.label) if label)
     motion = replace(i, rotations=rotations, root=root, label=label, source=f"{i.source} + {j.source}")
-    return Coupling(motion, weights, energies_i, energies_j)
+    return Coupling(motion, weights, *energies)
 
 
 def couple_features(
@@ -162,10 +155,8 @@ def couple_features(
     """Eq. 3 on a batch in ACTOR's layout: x_i, x_j [B T 25 6], lam [B] -> [B T 25 6]."""
     config = config or CouplingConfig()
     check_shapes("couple_features", x_i=(x_i, "B T 25 6"), x_j=(x_j, "B T 25 6"), lam=(lam, "B"))
-    rotations_i, root_i = from_features(x_i)
-    rotations_j, root_j = from_features(x_j)
-    energies_i = joint_energies(energy_signal(rotations_i, root_i, rest_joints, config.energy_space))
-    energies_j = joint_energies(energy_signal(rotations_j, root_j, rest_joints, config.energy_space))
-    weights = coupling_weights(energies_i, energies_j, lam, config)
-    rotations, root = blend(rotations_i, root_i, rotations_j, root_j, weights, rest_joints, config.blend_space)
+    poses = [from_features(x) for x in (x_i, x_j)]
+    energies = [joint_energies(energy_signal(*pose, rest_joints, config.energy_space)) for pose in poses]
+    weights = coupling_weights(*energies, lam, config)
+    rotations, root = blend(*poses[0], *poses[1], weights, rest_joints, config.blend_space)
     return to_features(matrix_to_6d(rotations), root)

@@ -94,8 +94,8 @@ class MAE(nn.Module):
             kept: [N P] bool, True = visible; every row keeps the same number of patches.
 
         Returns:
-            [N P D], D = patch * patch * C as ``patches.patchify`` orders it. Visible patches are predicted too, but never
-            trained.
+            [N P D], D = patch * patch * C as ``patches.patchify`` orders it. Visible patches are predicted too, but
+            never trained.
 
         Raises:
             ShapeError: another picture size or channel count, or rows that keep different numbers.

@@ -66,7 +66,7 @@ class Motion:
 def crop(motion: Motion, start: int, stop: int) -> Motion:
     """Frames ``start`` to ``stop`` (exclusive)."""
     if not 0 <= start < stop <= len(motion):
-        raise UserError(motion.source, f"frames {start} to {stop} asked for, it has {len(motion)}", "choose frames inside")
+        raise UserError(motion.source, f"has {len(motion)} frames, {start} to {stop} asked for", "choose frames inside")
     return replace(motion, rotations=motion.rotations[start:stop], root=motion.root[start:stop])
 
 
