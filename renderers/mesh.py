@@ -1,0 +1,66 @@
+"""The topology of a triangle mesh, worked out once: which faces meet at which edge.
+
+Nothing is asked of the mesh: it may be open, non-manifold, self-intersecting, of several pieces, or oriented anyhow.
+"""
+
+from dataclasses import dataclass, fields
+
+import torch
+from torch import Tensor
+
+from renderers.checks import UserError, check_shapes
+
+
+@dataclass(frozen=True)
+class Mesh:
+    """Faces with their edges; build it with `Mesh.build` and keep it for as long as the faces stay the same.
+
+    Every face goes round its three edges once, and passes each of them upwards (from the lower vertex number to the
+    higher) or downwards. An edge belongs to one channel: where two parts meet, each has an edge of its own.
+    """
+
+    faces: Tensor  # [F 3] vertex numbers
+    face_channels: Tensor  # [F] the channel that a face is drawn in
+    edges: Tensor  # [E 2] vertex numbers, the lower one first
+    edge_channels: Tensor  # [E]
+    edge_faces: Tensor  # [E K] passages along the edge: f passes upwards, F + f downwards, 2 F fills up to K
+    channels: int
+    vertices: int  # the least number of vertices that the faces need
+
+    @classmethod
+    def build(cls, faces: Tensor, parts: Tensor | None = None) -> "Mesh":
+        """The mesh of ``faces`` [F 3]; with ``parts`` [F] (0, 1, ...) every part becomes a channel of its own.
+
+        Raises:
+            UserError: for no faces, or negative vertex or part numbers.
+        """
+        parts = torch.zeros_like(faces[:, 0]) if parts is None else parts
+        check_shapes("Mesh.build", faces=(faces, "F 3"), parts=(parts, "F"))
+        if len(faces) == 0 or faces.min() < 0 or parts.min() < 0:
+            raise UserError("Mesh.build", "expected at least one face and no negative numbers", "check the mesh")
+        faces, parts = faces.long(), parts.long()
+        vertices = int(faces.max()) + 1
+
+        start, end = faces.flatten(), faces.roll(-1, dims=1).flatten()
+        low, high = torch.minimum(start, end), torch.maximum(start, end)
+        keys = (parts.repeat_interleave(3) * vertices + low) * vertices + high
+        keys, edge, passages = torch.unique(keys, return_inverse=True, return_counts=True)
+
+        by_edge = edge.argsort(stable=True)
+        rank = torch.arange(len(edge), device=faces.device) - (passages.cumsum(0) - passages)[edge[by_edge]]
+        passing = torch.arange(len(edge), device=faces.device) // 3 + len(faces) * (start > end)
+        edge_faces = faces.new_full((len(keys), int(passages.max())), 2 * len(faces))
+        edge_faces[edge[by_edge], rank] = passing[by_edge]
+        return cls(
+            faces=faces,
+            face_channels=parts,
+            edges=torch.stack([keys // vertices % vertices, keys % vertices], dim=1),
+            edge_channels=keys // vertices**2,
+            edge_faces=edge_faces,
+            channels=int(parts.max()) + 1,
+            vertices=vertices,
+        )
+
+    def to(self, device: torch.device | str) -> "Mesh":
+        moved = {field.name: getattr(self, field.name) for field in fields(self)}
+        return Mesh(**{name: value.to(device) if isinstance(value, Tensor) else value for name, value in moved.items()})
