@@ -1,0 +1,71 @@
+"""How far, how shaky, how skating: measures of a motion's joints, in metres and seconds."""
+
+import torch
+from torch import Tensor
+
+from renderers.checks import UserError, check_shapes
+from renderers.skeleton import DRAWN_PARTS, JOINTS
+
+FEET = [JOINTS[name] for name in ("left_ankle", "right_ankle", "left_foot", "right_foot")]
+
+
+def joint_errors(joints: Tensor, reference: Tensor) -> Tensor:
+    """Distance of every joint after the pelvises are laid on each other.
+
+    Args:
+        joints, reference: [... T 24 3] metres.
+
+    Returns:
+        [... T 24] metres; the pelvis is 0.
+    """
+    check_shapes("joint_errors", joints=(joints, "... T 24 3"), reference=(reference, "... T 24 3"))
+    return ((joints - joints[..., :1, :]) - (reference - reference[..., :1, :])).norm(dim=-1)
+
+
+def mean_joint_error(joints: Tensor, reference: Tensor) -> float:
+    """Mean of ``joint_errors`` over frames and the 23 joints below the pelvis, metres."""
+    return float(joint_errors(joints, reference)[..., 1:].mean())
+
+
+def part_errors(joints: Tensor, reference: Tensor) -> dict[str, float]:
+    """Mean of ``joint_errors`` over each drawn part's joints (without the pelvis), metres."""
+    errors = joint_errors(joints, reference)
+    return {name: float(errors[..., [n for n in part if n]].mean()) for name, part in DRAWN_PARTS.items()}
+
+
+def planted_feet(joints: Tensor, fps: float, height: float = 0.05, speed: float = 0.15) -> Tensor:
+    """Which feet stand.
+
+    Args:
+        joints: [T 24 3] metres.
+        height: metres above the lowest point that this foot joint reaches in the clip.
+        speed: metres a second.
+
+    Returns:
+        [T 4] bool for ``FEET``: low, and slower than ``speed``.
+    """
+    feet = joints[:, FEET]
+    if len(feet) < 2:
+        raise UserError("planted_feet", "one frame does not tell a standing foot from a moving one")
+    speeds = feet.diff(dim=0).norm(dim=-1) * fps
+    low = feet[..., 1] < feet[..., 1].amin(0) + height
+    return low & (torch.cat([speeds[:1], speeds]) < speed)
+
+
+def foot_skate(joints: Tensor, fps: float, height: float = 0.05) -> float:
+    """Mean horizontal speed, metres a second, of the foot joints within ``height`` metres of their lowest point.
+
+    joints [T 24 3] metres. 0 when no foot is ever low for two frames.
+    """
+    feet = joints[:, FEET]
+    low = feet[..., 1] < feet[..., 1].amin(0) + height
+    both = low[1:] & low[:-1]
+    sliding = feet[..., [0, 2]].diff(dim=0).norm(dim=-1) * fps
+    return float(sliding[both].mean()) if both.any() else 0.0
+
+
+def jitter(joints: Tensor, fps: float) -> float:
+    """Mean size of the joints' third time derivative, metres per second cubed; joints [T 24 3] with T >= 4."""
+    if len(joints) < 4:
+        raise UserError("jitter", f"needs at least 4 frames, got {len(joints)}")
+    return float(joints.diff(n=3, dim=0).norm(dim=-1).mean() * fps**3)

@@ -1,0 +1,173 @@
+"""Refinement: push a composed motion through the decoupling loss, without a generator."""
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from refine.decoupling import Clips, Decoupler, Reference, Seen, Trace
+from refine.metrics import FEET, planted_feet
+from refine.motion import Motion, crop
+from renderers.checks import UserError
+from renderers.rotations import matrix_from_6d
+from renderers.skeleton import forward_kinematics
+
+
+@dataclass(frozen=True)
+class RefinementConfig:
+    """How far, how fast, and what must not be lost on the way."""
+
+    steps: int = 60
+    frames: int = 8
+    """Frames drawn in each step, spread over the clip."""
+    rate: float = 0.03
+    """Adam's step for the shares along the line between the sub-actions."""
+    free_rate: float = 0.003
+    """Adam's step for the free 6D offsets."""
+    smooth_frames: float = 2.0
+    """Standard deviation, in frames, of the smoothing that the free offsets pass through."""
+    stay: float = 0.01
+    """Weight of the squared free offsets, and of the squared shares."""
+    smooth: float = 10.0
+    """Weight of the squared change of the joints' accelerations, per frame squared."""
+    feet: float = 10.0
+    """Weight of the squared distance (m) of planted feet from where the composition planted them."""
+    seed: int = 0
+
+
+class Refined(NamedTuple):
+    """The refined motion, with the loss before, after and in between."""
+
+    motion: Motion
+    before: Trace
+    after: Trace
+    history: dict[str, list[float]]
+
+
+def refine_motion(
+    composed: Motion,
+    i: Motion,
+    j: Motion,
+    decoupler: Decoupler,
+    config: RefinementConfig | None = None,
+    progress: Callable[[int, dict[str, float]], None] | None = None,
+) -> Refined:
+    """Make both sub-actions recognisable in a composition again.
+
+    The local rotations move in two ways: each joint along the line between the two sub-actions' rotations, by one share
+    for the whole clip (a half-blended limb can go to its owner); and freely, smooth in time. Travel and global
+    orientation stay.
+
+    Args:
+        composed: the motion to refine; i, j: the sub-actions it was made of, frame for frame (longer ones are cut).
+        progress: called after every step with its number and its loss terms.
+
+    Raises:
+        UserError: a sub-action is shorter than the composition, or frame rates differ.
+    """
+    config = config or RefinementConfig()
+    frames = len(composed)
+    for clip in (i, j):
+        if clip.fps != composed.fps or len(clip) < frames:
+            problem = f"{len(clip)} frames at {clip.fps:g} fps cannot judge {frames} at {composed.fps:g} fps"
+            raise UserError(clip.source, problem, "resample and crop it to the composition")
+    i, j = crop(i, 0, frames), crop(j, 0, frames)
+    problem = Problem.build(composed, i, j, decoupler, config)
+    shares = torch.zeros(24, 1).to(composed.root).requires_grad_()
+    offsets = torch.zeros_like(composed.six).requires_grad_()
+    optimiser = torch.optim.Adam(
+        [{"params": [shares], "lr": config.rate}, {"params": [offsets], "lr": config.free_rate}], betas=(0.8, 0.95)
+    )
+    generator = torch.Generator().manual_seed(config.seed)
+    history: dict[str, list[float]] = {}
+    for step in range(config.steps):
+        chosen = spread_frames(frames, config.frames, generator)
+        terms = problem.terms(shares, offsets, chosen)
+        total = sum(terms.values())
+        optimiser.zero_grad()
+        total.backward()
+        optimiser.step()
+        terms = {"total": total, **terms}
+        for name, value in terms.items():
+            history.setdefault(name, []).append(value.item())
+        if progress:
+            progress(step, {name: value.item() for name, value in terms.items()})
+    every = torch.arange(frames)[None]
+    with torch.no_grad():
+        rotations = problem.rotations(shares, offsets)
+        motion = replace(composed, rotations=rotations, source=f"{composed.source} refined")
+        before, after = (problem.compare(clip.rotations, every) for clip in (composed, motion))
+    return Refined(motion, before, after, history)
+
+
+class Problem(NamedTuple):
+    """What is optimised over, with everything that stays the same during the optimisation."""
+
+    composed: Motion
+    line: Tensor  # [T 24 6] from sub-action j to sub-action i
+    smoother: Tensor  # [T T] rows sum to 1
+    joints: Tensor  # [T 24 3] of the composition
+    planted: Tensor  # [T 4] bool, for FEET
+    references: tuple[Reference, Reference]  # of every frame
+    cameras: list
+    decoupler: Decoupler
+    config: RefinementConfig
+
+    @classmethod
+    def build(cls, composed: Motion, i: Motion, j: Motion, decoupler: Decoupler, config: RefinementConfig) -> "Problem":
+        clips = [Clips(clip.rotations[None], clip.root[None]) for clip in (i, j)]
+        cameras = decoupler.cameras(*clips)
+        every = torch.arange(len(composed))[None]
+        references = decoupler.references(*clips, every, cameras)
+        joints = composed.joints(decoupler.body.rest_joints)
+        planted = planted_feet(joints, composed.fps)
+        smoother = gaussian_rows(len(composed), config.smooth_frames).to(composed.root)
+        return cls(composed, i.six - j.six, smoother, joints, planted, references, cameras, decoupler, config)
+
+    def rotations(self, shares: Tensor, offsets: Tensor) -> Tensor:
+        """[T 24 3 3]; the global orientation is the composition's."""
+        smooth = (self.smoother @ offsets.flatten(1)).reshape(offsets.shape)
+        moved = matrix_from_6d(self.composed.six + shares * self.line + smooth)
+        return torch.cat([self.composed.rotations[:, :1], moved[:, 1:]], dim=1)
+
+    def compare(self, rotations: Tensor, frames: Tensor) -> Trace:
+        """Eq. 7 of the frames [1 K]."""
+        clips = Clips(rotations[None], self.composed.root[None])
+        seen = self.decoupler.see(clips, frames, self.cameras)
+        views = len(self.cameras)
+        rows = (frames[0, :, None] * views + torch.arange(views)).flatten()
+        return self.decoupler.compare(seen, tuple(take_rows(reference, rows) for reference in self.references))
+
+    def terms(self, shares: Tensor, offsets: Tensor, frames: Tensor) -> dict[str, Tensor]:
+        """Weighed loss terms; the decoupling loss is drawn for ``frames`` [1 K] only."""
+        config = self.config
+        rotations = self.rotations(shares, offsets)
+        joints = forward_kinematics(rotations, self.composed.root, self.decoupler.body.rest_joints)[0]
+        moved = joints - self.joints
+        return {
+            "decoupling": self.compare(rotations, frames).loss,
+            "stay": config.stay * (offsets.square().mean() + shares.square().mean()),
+            "smooth": config.smooth * moved.diff(n=2, dim=0).square().sum(-1).mean(),
+            "feet": config.feet * (moved[:, FEET].square().sum(-1) * self.planted).mean(),
+        }
+
+
+def take_rows(reference: Reference, rows: Tensor) -> Reference:
+    """The pictures ``rows`` of a reference."""
+    seen = Seen(*(value[rows] for value in reference.seen))
+    return Reference(seen, reference.energies[rows], reference.owned[rows])
+
+
+def spread_frames(frames: int, count: int, generator: torch.Generator) -> Tensor:
+    """[1 min(count, frames)] ascending frames, one drawn from each equal stretch of the clip."""
+    count = min(count, frames)
+    return ((torch.arange(count) + torch.rand(count, generator=generator)) * frames / count).long()[None]
+
+
+def gaussian_rows(count: int, deviation: float) -> Tensor:
+    """[count count] smoothing over neighbours; each row sums to 1."""
+    at = torch.arange(count, dtype=torch.float64)
+    weights = torch.exp(-0.5 * ((at[:, None] - at) / max(deviation, 1e-6)).square())
+    return weights / weights.sum(1, keepdim=True)

@@ -1,0 +1,62 @@
+"""Measures of motions, each on a case whose value is known."""
+
+import pytest
+import torch
+
+from refine.metrics import FEET, foot_skate, jitter, joint_errors, mean_joint_error, part_errors, planted_feet
+from renderers.checks import UserError
+from renderers.skeleton import DRAWN_PARTS, JOINTS
+
+
+@pytest.fixture
+def joints(generator):
+    return torch.rand(30, 24, 3, generator=generator, dtype=torch.float64)
+
+
+def test_error_ignores_where_the_body_stands(joints):
+    assert joint_errors(joints + torch.tensor([3.0, 0.0, -2.0]), joints).max() < 1e-12
+
+
+def test_error_of_one_arm(joints):
+    moved = joints.clone()
+    moved[:, DRAWN_PARTS["left_arm"]] += torch.tensor([0.03, 0.04, 0.0])
+    assert mean_joint_error(moved, joints) == pytest.approx(0.05 * 5 / 23)
+    errors = part_errors(moved, joints)
+    assert errors.pop("left_arm") == pytest.approx(0.05)
+    assert max(errors.values()) < 1e-12
+
+
+def test_pelvis_is_not_counted(joints):
+    moved = joints.clone()
+    moved[:, 1:] += torch.tensor([0.1, 0.0, 0.0])
+    assert mean_joint_error(moved, joints) == pytest.approx(0.1)
+    assert part_errors(moved, joints)["torso"] == pytest.approx(0.1)
+
+
+def test_skate_is_the_speed_of_low_feet_only():
+    joints = torch.zeros(10, 24, 3)
+    joints[:, FEET[:2], 0] = torch.arange(10.0)[:, None] * 0.01
+    assert foot_skate(joints, fps=30.0) == pytest.approx(0.15)
+    joints[:, FEET[0], 1] = torch.linspace(0.0, 9.0, 10)
+    assert foot_skate(joints, fps=30.0) == pytest.approx(0.3 * 1 / 3, rel=1e-4)
+
+
+def test_planted_feet_are_low_and_slow():
+    joints = torch.zeros(5, 24, 3)
+    joints[:, JOINTS["right_foot"], 1] = torch.tensor([0.0, 0.0, 0.2, 0.2, 0.0])
+    joints[:, JOINTS["left_ankle"], 2] = torch.arange(5.0) * 0.1
+    planted = planted_feet(joints, fps=30.0)
+    assert planted[:, FEET.index(JOINTS["left_ankle"])].tolist() == [False] * 5
+    assert planted[:, FEET.index(JOINTS["right_foot"])].tolist() == [True, True, False, False, False]
+    assert planted[:, FEET.index(JOINTS["right_ankle"])].all()
+
+
+def test_jitter_is_the_third_derivative():
+    time = torch.arange(40, dtype=torch.float64) / 30
+    joints = torch.zeros(40, 24, 3, dtype=torch.float64)
+    joints[..., 1] = (2.0 * time**3)[:, None]
+    assert jitter(joints, 30.0) == pytest.approx(12.0)
+    joints[..., 1] = (5.0 * time**2)[:, None]
+    assert jitter(joints, 30.0) < 1e-6
+    with pytest.raises(UserError, match="at least 4 frames, got 3"):
+        jitter(joints[:3], 30.0)
