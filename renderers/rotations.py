@@ -62,6 +62,34 @@ def rotation_about(axis: str, angle: Tensor) -> Tensor:
     return torch.stack(rows, dim=-1).reshape(*angle.shape, 3, 3)
 
 
+def euler_to_matrix(angles: Tensor, axes: str) -> Tensor:
+    """[... n] radians about the n named axes -> [... 3 3], multiplied in the order they are listed.
+
+    ``"zxy"`` gives Rz @ Rx @ Ry, the reading of BVH (protocol A.8).
+    """
+    check_shapes("euler_to_matrix", angles=(angles, f"... {len(axes)}"))
+    matrix = torch.eye(3, dtype=angles.dtype, device=angles.device).expand(*angles.shape[:-1], 3, 3)
+    for index, axis in enumerate(axes):
+        turn = rotation_about(axis, angles[..., index])
+        matrix = turn if index == 0 else matrix @ turn
+    return matrix
+
+
+def matrix_to_euler(matrix: Tensor, axes: str) -> Tensor:
+    """[... 3 3] -> [... 3] radians with ``euler_to_matrix(angles, axes)`` equal to ``matrix``; three different axes.
+
+    The last angle is read from what the first two leave over, so the product is right in gimbal lock too.
+    """
+    check_shapes("matrix_to_euler", matrix=(matrix, "... 3 3"))
+    i, j, k = ("xyz".index(axis) for axis in axes)
+    sign = 1.0 if (j - i) % 3 == 1 else -1.0
+    first = torch.atan2(-sign * matrix[..., j, k], matrix[..., k, k])
+    second = torch.atan2(sign * matrix[..., i, k], torch.hypot(matrix[..., i, i], matrix[..., i, j]))
+    left = euler_to_matrix(torch.stack([first, second], dim=-1), axes[:2]).mT @ matrix
+    third = torch.atan2(sign * left[..., j, i], left[..., j, j])
+    return torch.stack([first, second, third], dim=-1)
+
+
 def heading(matrix: Tensor) -> Tensor:
     """Yaw about world y, in radians, of a body orientation [... 3 3] -> [...].
 
