@@ -148,6 +148,19 @@ def generate(generator: Generator, weights: Tensor, frames: int, random: torch.G
     return generator.decode(latent, weights, torch.ones(len(weights), frames, dtype=torch.bool, device=weights.device))
 
 
+def stand(rotations: Tensor, root: Tensor, rest_joints: Tensor) -> tuple[Tensor, Tensor]:
+    """Set clips on the floor: the lowest joint over all frames stands as high as the lowest joint of the rest pose.
+
+    Features hold the root only relative to its first frame (protocol A.4), so its height has to come from elsewhere.
+
+    Args:
+        rotations: [B T 24 3 3]; root: [B T 3] metres; rest_joints: [24 3] metres.
+    """
+    joints, _ = forward_kinematics(rotations, root, rest_joints)
+    rise = rest_joints[:, 1].min() - joints[..., 1].flatten(1).min(dim=1).values
+    return rotations, root + torch.nn.functional.pad(rise[:, None, None], (1, 1))
+
+
 def generate_motions(
     generator: Generator,
     actions: Sequence[str],
@@ -158,8 +171,7 @@ def generate_motions(
 ) -> list[Motion]:
     """Draw ``count`` motions in which the named actions happen at once, at equal weights.
 
-    The features hold the root only relative to its first frame (protocol A.4), so each motion is set on the floor: its
-    lowest joint over all frames stands as high as the lowest joint [24 3] of the rest pose.
+    Each stands on the floor (``stand``); ``rest_joints`` [24 3] are those of the T-pose, metres.
 
     Raises:
         UserError: an action the generator has not learned, no action, or a length outside 0.1 to 60 seconds.
@@ -175,9 +187,7 @@ def generate_motions(
     for action in actions:
         weights[:, classes.index(action)] += 1 / len(actions)
     frames = max(2, round(seconds * generator.config.fps))
-    rotations, root = from_features(generate(generator, weights, frames, random))
-    joints, _ = forward_kinematics(rotations, root, rest_joints)
-    root[..., 1] += rest_joints[:, 1].min() - joints[..., 1].flatten(1).min(dim=1).values[:, None]
+    rotations, root = stand(*from_features(generate(generator, weights, frames, random)), rest_joints)
     label = "+".join(actions)
     return [
         Motion(rotations[n], root[n], generator.config.fps, label, source=f"generated {label} {n}")

@@ -1,0 +1,180 @@
+"""The training loop on a model of two numbers: exact resume, bad losses, what is left on disk."""
+
+import json
+import math
+from dataclasses import dataclass, replace
+
+import pytest
+import torch
+from torch import nn
+
+from renderers.checks import UserError
+from train.loop import LoopConfig, fit, learning_rate, open_run, seed_of
+
+
+@dataclass(frozen=True)
+class LineConfig:
+    width: int = 2
+
+
+class Line(nn.Module):
+    """A noisy line with dropout, so that both random streams matter."""
+
+    def __init__(self):
+        super().__init__()
+        self.config = LineConfig()
+        with torch.random.fork_rng():
+            torch.manual_seed(0)
+            self.layers = nn.Sequential(nn.Linear(2, 8), nn.Dropout(0.5), nn.Linear(8, 1))
+
+    def losses(self, step, random):
+        x = torch.randn(16, 2, generator=random)
+        error = (self.layers(x)[:, 0] - x.sum(1)).square().mean()
+        return {"error": error, "total": 2 * error}
+
+
+def run(folder, steps, resume=False, losses=None, **changes):
+    folder.mkdir(exist_ok=True)
+    model = Line()
+    config = replace(LoopConfig(steps=steps, learning_rate=1e-2, save_every=5, warmup=4), **changes)
+    held_out = torch.ones(1, 2)
+    path = fit(
+        model,
+        losses(model) if losses else model.losses,
+        config,
+        folder,
+        "mae",
+        {"note": "a line"},
+        lambda: {"total": float((model.layers(held_out) - 2).square())},
+        resume,
+    )
+    return model, path
+
+
+def rows(folder):
+    return [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+
+
+def terms(folder):
+    return [{name: row[name] for name in ("step", "error", "total", "gradient")} for row in rows(folder)]
+
+
+def test_a_resumed_run_equals_an_unbroken_one_bit_for_bit(tmp_path):
+    whole, _ = run(tmp_path / "whole", 20)
+    run(tmp_path / "broken", 10)
+    with (tmp_path / "broken" / "log.jsonl").open("a") as log:  # what a run logs after its last checkpoint, then dies
+        log.write('{"step": 10, "error": 7.0, "total": 14.0, "gradient": 1.0}\n{"step": 11, "err')
+    resumed, _ = run(tmp_path / "broken", 20, resume=True)
+    assert terms(tmp_path / "broken") == terms(tmp_path / "whole")
+    for ours, theirs in zip(resumed.parameters(), whole.parameters(), strict=True):
+        assert torch.equal(ours, theirs)
+
+
+def test_another_seed_gives_other_losses(tmp_path):
+    run(tmp_path / "a", 3)
+    run(tmp_path / "b", 3, seed=11)
+    assert terms(tmp_path / "a") != terms(tmp_path / "b")
+
+
+def test_the_loss_falls_and_the_global_generator_is_left_alone(tmp_path):
+    before = torch.random.get_rng_state()
+    run(tmp_path / "run", 200, save_every=100)
+    assert torch.equal(torch.random.get_rng_state(), before)
+    total = [row["total"] for row in rows(tmp_path / "run")]
+    assert sum(total[-20:]) < 0.5 * sum(total[:20])
+
+
+def test_best_is_the_lowest_held_out_total(tmp_path):
+    _, path = run(tmp_path / "run", 60)
+    measured = {row["step"] + 1: row["held_out"]["total"] for row in rows(tmp_path / "run") if "held_out" in row}
+    described = json.loads(path.with_suffix(".json").read_text())
+    assert len(measured) == 12
+    assert described["step"] == min(measured, key=measured.get)
+    assert described["held_out"]["total"] == min(measured.values())
+    assert json.loads((tmp_path / "run" / "last.json").read_text())["step"] == 60
+
+
+def test_a_loss_that_is_not_finite_stops_and_keeps_the_checkpoint(tmp_path):
+    def broken(model):
+        def losses(step, random):
+            found = model.losses(step, random)
+            return found | {"error": found["error"] * (math.nan if step == 7 else 1)}
+
+        return losses
+
+    with pytest.raises(UserError, match=r"step 7: the term 'error' became nan; the last good checkpoint is .*state"):
+        run(tmp_path / "run", 20, losses=broken)
+    kept = {name: (tmp_path / "run" / name).read_bytes() for name in ("state.safetensors", "last.safetensors")}
+    run(tmp_path / "five", 5)
+    assert kept == {name: (tmp_path / "five" / name).read_bytes() for name in kept}
+    assert len(rows(tmp_path / "run")) == 7
+
+
+def test_gradients_are_clipped(tmp_path):
+    def large(model):
+        return lambda step, random: {"total": 1e6 * model.losses(step, random)["total"]}
+
+    moved = {}
+    for clip in (None, 1e-12):
+        model, _ = run(tmp_path / str(clip), 1, losses=large, clip_gradients=clip, weight_decay=0.0, warmup=0)
+        moved[clip] = (model.layers[0].weight - Line().layers[0].weight).abs().max().item()
+        assert rows(tmp_path / str(clip))[0]["gradient"] > 1e3  # the norm before clipping
+    assert moved[None] == pytest.approx(1e-2, rel=1e-3)  # AdamW's first step
+    assert moved[1e-12] < 1e-4  # a gradient far below its epsilon of 1e-8 moves nothing
+
+
+def test_learning_rate_rises_then_falls_along_a_cosine():
+    config = LoopConfig(steps=110, learning_rate=2.0, warmup=10, schedule="cosine")
+    assert [learning_rate(step, config) for step in (0, 4, 9)] == pytest.approx([0.2, 1.0, 2.0])
+    assert learning_rate(60, config) == pytest.approx(1.0)
+    assert learning_rate(110, config) == pytest.approx(0.0, abs=1e-12)
+    assert learning_rate(500, replace(config, schedule="constant")) == 2.0
+
+
+def test_log_every_thins_the_log_but_keeps_checkpoints(tmp_path):
+    run(tmp_path / "run", 12, log_every=4, save_every=6)
+    assert [row["step"] for row in rows(tmp_path / "run")] == [0, 4, 5, 8, 11]
+
+
+def test_curves_are_drawn(tmp_path):
+    from PIL import Image
+
+    run(tmp_path / "run", 10)
+    picture = Image.open(tmp_path / "run" / "curves.png").convert("L")
+    darkest, lightest = picture.getextrema()
+    assert picture.size == (760, 420)
+    assert darkest < 80 < 250 < lightest
+
+
+def test_no_file_is_left_beside(tmp_path):
+    run(tmp_path / "run", 5)
+    names = {path.name for path in (tmp_path / "run").iterdir()}
+    weights = {f"{name}.{suffix}" for name in ("best", "last") for suffix in ("json", "safetensors")}
+    assert names == weights | {"state.safetensors", "log.jsonl", "curves.png"}
+
+
+def test_open_run_refuses_what_would_be_lost(tmp_path):
+    folder = tmp_path / "deep" / "run"
+    with pytest.raises(UserError, match="holds no run to resume; start it without --resume"):
+        open_run(folder, LoopConfig(), resume=True)
+    assert not folder.exists()
+    open_run(folder, LoopConfig(steps=3), resume=False)
+    assert json.loads((folder / "config.json").read_text())["steps"] == 3
+    with pytest.raises(UserError, match="already holds a run; go on with --resume"):
+        open_run(folder, LoopConfig(), resume=False)
+    open_run(folder, LoopConfig(steps=9), resume=True)
+    assert json.loads((folder / "config.json").read_text())["steps"] == 9
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="is a file"):
+        open_run(tmp_path / "file", LoopConfig(), resume=False)
+
+
+def test_seeds_differ_by_every_key():
+    assert len({seed_of(a, b, c) for a in range(4) for b in range(4) for c in range(2)}) == 32
+
+
+def test_impossible_configurations_are_refused():
+    with pytest.raises(UserError, match=r"LoopConfig\(steps\): 0 is not a positive number"):
+        LoopConfig(steps=0)
+    with pytest.raises(UserError, match="learning_rate"):
+        LoopConfig(learning_rate=0.0)

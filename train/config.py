@@ -1,0 +1,131 @@
+"""Whole runs as values: what `refine train` takes, and its presets."""
+
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
+
+from refine.coupling import CouplingConfig
+from refine.decoupling import DecouplingConfig
+from refine.mae import MAEConfig
+from train.data import DataConfig
+from train.loop import LoopConfig
+from train.pictures import PictureConfig
+from train.steps import GeneratorLoss
+
+
+@dataclass(frozen=True)
+class MAETraining:
+    """Train the inpainting MAE on renders of single actions (protocol E.3)."""
+
+    out: Path = Path("runs/mae")
+    """Run folder."""
+    data: DataConfig = field(default_factory=DataConfig)
+    network: MAEConfig = field(default_factory=MAEConfig)
+    pictures: PictureConfig = field(default_factory=PictureConfig)
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    batch: int = 64
+    body_weight: float = 4.0
+    """How many times a hidden patch counts that the body touches; most of a picture is background."""
+    measured: int = 512
+    """Held-out pictures that are measured at a checkpoint."""
+    device: str = "cpu"
+    """As torch names it, for example ``cuda``. Random numbers are the same on every device."""
+    resume: bool = False
+    """Go on with the run in ``out``."""
+
+
+@dataclass(frozen=True)
+class GeneratorTraining:
+    """Train the generator on pseudo-compositions of pairs (protocol B.3)."""
+
+    out: Path = Path("runs/generator")
+    """Run folder."""
+    mae: Path | None = None
+    """Weights of the MAE that the decoupling loss asks; none takes those that come with the package."""
+    data: DataConfig = field(default_factory=DataConfig)
+    size: Literal["tiny", "paper"] = "paper"
+    """Of the network, see ``GeneratorConfig``."""
+    loss: GeneratorLoss = field(default_factory=GeneratorLoss)
+    coupling: CouplingConfig = field(default_factory=CouplingConfig)
+    decoupling: DecouplingConfig = field(default_factory=DecouplingConfig)
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    batch: int = 32
+    measured: int = 128
+    """Held-out pairs that are measured at a checkpoint."""
+    device: str = "cpu"
+    """As torch names it, for example ``cuda``. Random numbers are the same on every device."""
+    resume: bool = False
+    """Go on with the run in ``out``."""
+
+
+MAE_PRESETS: dict[str, tuple[str, MAETraining]] = {
+    "tiny": (
+        "A small network for trying things out: two minutes on one core.",
+        MAETraining(
+            data=DataConfig(synthetic_clips=6),
+            network=MAEConfig(width=96, depth=3, decoder_width=64, decoder_depth=1, decoder_heads=2),
+            loop=LoopConfig(steps=600, learning_rate=1e-3, warmup=50, schedule="cosine", save_every=200),
+            batch=32,
+            measured=256,
+        ),
+    ),
+    "small": (
+        "The network that comes with the package: some hours on two cores.",
+        MAETraining(
+            data=DataConfig(synthetic_clips=60),
+            loop=LoopConfig(
+                steps=20_000,
+                learning_rate=6e-4,
+                weight_decay=0.05,
+                betas=(0.9, 0.95),
+                warmup=500,
+                schedule="cosine",
+                clip_gradients=1.0,
+                log_every=10,
+                save_every=1000,
+            ),
+        ),
+    ),
+    "paper": (
+        "Protocol E.3's larger network at 112 px, for a graphics card.",
+        MAETraining(
+            data=DataConfig(synthetic_clips=200),
+            network=MAEConfig(size=112, width=256, depth=8, heads=4, decoder_width=128, decoder_depth=4),
+            loop=LoopConfig(
+                steps=200_000,
+                learning_rate=6e-4,
+                weight_decay=0.05,
+                betas=(0.9, 0.95),
+                warmup=2000,
+                schedule="cosine",
+                clip_gradients=1.0,
+                log_every=50,
+                save_every=5000,
+            ),
+            batch=256,
+        ),
+    ),
+}
+
+GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
+    "tiny": (
+        "A small network for trying things out: minutes on one core.",
+        GeneratorTraining(
+            data=DataConfig(synthetic_clips=6),
+            size="tiny",
+            loss=GeneratorLoss(decoupling_clips=2, decoupling_frames=1),
+            loop=LoopConfig(steps=600, learning_rate=1e-3, warmup=20, clip_gradients=1.0, save_every=200),
+            measured=64,
+        ),
+    ),
+    "paper": (
+        "LFCA's network, batch and rates (protocol B.3), for graphics cards.",
+        GeneratorTraining(
+            loss=GeneratorLoss(decoupling_clips=64),
+            # 1500 epochs of the 14,400 ordered pairs of 120 clips, 800 at a time (protocol B.4 no. 16).
+            loop=LoopConfig(steps=27_000, log_every=10, save_every=1000),
+            batch=800,
+            measured=800,
+        ),
+    ),
+}

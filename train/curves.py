@@ -1,0 +1,40 @@
+"""A run's log as a picture."""
+
+import json
+import math
+from pathlib import Path
+
+from renderers.images import chart, save_png
+
+
+def draw_curves(log: Path, picture: Path):
+    """Draw every loss term of a ``log.jsonl`` over the steps, on a log axis, and the held-out total as stairs.
+
+    Each line is the mean over the last hundredth of the steps, so that a long run stays readable.
+    """
+    rows = [json.loads(line) for line in log.read_text().splitlines()]
+    names = [name for name in rows[-1] if name not in ("step", "seconds", "gradient", "held_out")]
+    steps = rows[-1]["step"] + 1
+    series = {name: smooth(dense(rows, name, steps), max(1, steps // 100)) for name in names}
+    measured = [{"step": row["step"], "total": row["held_out"]["total"]} for row in rows if "held_out" in row]
+    if measured:
+        series["held out"] = dense(measured, "total", steps)
+    save_png(picture, chart(series, f"{picture.parent.name}: loss terms over {steps:,} steps", size=(420, 760)))
+
+
+def dense(rows: list[dict], name: str, steps: int) -> list[float]:
+    """One value a step: the last one logged, NaN before the first."""
+    values = [math.nan] * steps
+    for row, following in zip(rows, [*rows[1:], {"step": steps}], strict=True):
+        value = row.get(name, math.nan)
+        values[row["step"] : following["step"]] = [value] * (following["step"] - row["step"])
+    return values
+
+
+def smooth(values: list[float], window: int) -> list[float]:
+    """Mean over the last ``window`` values, over fewer at the start."""
+    sums, total = [], 0.0
+    for index, value in enumerate(values):
+        total += value - (values[index - window] if index >= window else 0.0)
+        sums.append(total / min(index + 1, window))
+    return sums

@@ -1,0 +1,174 @@
+"""One training loop for every program: steps in, a run folder out.
+
+A run folder holds ``config.json``, ``log.jsonl`` (one line a logged step), ``curves.png``, ``last`` and ``best``
+weights and ``state.safetensors`` to go on from. The randomness of a step is a function of the seed and the step's
+number alone, so a run that was killed and resumed gives the very losses of an unbroken one.
+"""
+
+import json
+import math
+import time
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import numpy as np
+import torch
+from torch import Tensor, nn
+from tqdm import tqdm
+
+from renderers.checks import UserError
+from train.checkpoints import load_state, replace_file, save_state, save_weights, to_json
+from train.curves import draw_curves
+
+Losses = Callable[[int, torch.Generator], dict[str, Tensor]]
+"""(step, random) -> scalar terms; ``"total"`` is the one that is minimised."""
+
+
+@dataclass(frozen=True)
+class LoopConfig:
+    """How long and how fast to train, and how often to write."""
+
+    steps: int = 1000
+    learning_rate: float = 1e-4
+    weight_decay: float = 0.01
+    betas: tuple[float, float] = (0.9, 0.999)
+    warmup: int = 0
+    """Steps over which the learning rate rises from zero."""
+    schedule: Literal["constant", "cosine"] = "constant"
+    """After the warm-up: stay, or fall to zero at the last step along a cosine."""
+    clip_gradients: float | None = None
+    """Largest norm of all gradients together; none leaves them as they are."""
+    log_every: int = 1
+    save_every: int = 500
+    """Steps between checkpoints; each also measures the held-out clips and draws the curves."""
+    seed: int = 10
+
+    def __post_init__(self):
+        for name in ("steps", "log_every", "save_every"):
+            if getattr(self, name) < 1:
+                raise UserError(f"LoopConfig({name})", f"{getattr(self, name)} is not a positive number")
+        if not self.learning_rate > 0:
+            raise UserError("LoopConfig(learning_rate)", f"{self.learning_rate} is not positive")
+
+
+def seed_of(*keys: int) -> int:
+    """One 32-bit seed from several numbers, such as a run's seed and a step."""
+    return int(np.random.SeedSequence(keys).generate_state(1)[0])
+
+
+def learning_rate(step: int, config: LoopConfig) -> float:
+    """The rate at a step, counted from 0."""
+    rise = min(1.0, (step + 1) / max(1, config.warmup))
+    if config.schedule == "constant":
+        return config.learning_rate * rise
+    done = max(0, step - config.warmup) / max(1, config.steps - config.warmup)
+    return config.learning_rate * rise * 0.5 * (1 + math.cos(math.pi * min(1.0, done)))
+
+
+def fit(
+    model: nn.Module,
+    losses: Losses,
+    config: LoopConfig,
+    folder: Path,
+    kind: str,
+    record: dict[str, Any],
+    measure: Callable[[], dict[str, float]],
+    resume: bool = False,
+) -> Path:
+    """Train ``model`` with AdamW and return the path of its best weights.
+
+    Args:
+        losses: the terms of one step, drawn with the generator it is given.
+        folder: exists; filled as the module says.
+        kind, record: written with the weights, see ``checkpoints.save_weights``.
+        measure: figures on held-out data; the model is in evaluation mode. Best = lowest ``"total"``.
+        resume: go on from ``folder / "state.safetensors"``.
+
+    Raises:
+        UserError: a loss term or the gradient is not finite (the last checkpoint stays as it is), or the state that
+            should be resumed cannot be read.
+    """
+    optimiser = torch.optim.AdamW(
+        model.parameters(), config.learning_rate, betas=config.betas, weight_decay=config.weight_decay
+    )
+    state, log = folder / "state.safetensors", folder / "log.jsonl"
+    progress = load_state(state, model, optimiser) if resume else {"step": 0, "best": math.inf}
+    keep_rows(log, progress["step"])
+    random, started, first = torch.Generator(), time.monotonic(), progress["step"]
+    with torch.random.fork_rng(), log.open("a") as lines:
+        for step in tqdm(range(first, config.steps), initial=first, total=config.steps, desc=kind, disable=None):
+            random.manual_seed(seed_of(config.seed, step, 0))
+            torch.manual_seed(seed_of(config.seed, step, 1))
+            row = {"step": step, **take_step(model, optimiser, losses, step, random, config, state)}
+            row["seconds"] = round(time.monotonic() - started, 3)
+            done = step + 1
+            due = done % config.save_every == 0 or done == config.steps
+            if due:
+                model.eval()
+                with torch.no_grad():
+                    row["held_out"] = measure()
+            if due or step % config.log_every == 0:
+                lines.write(json.dumps(row) + "\n")
+                lines.flush()
+            if due:
+                described = {"step": done, "held_out": row["held_out"], **record}
+                save_weights(folder / "last.safetensors", kind, model, described)
+                if row["held_out"]["total"] < progress["best"]:
+                    progress["best"] = row["held_out"]["total"]
+                    save_weights(folder / "best.safetensors", kind, model, described)
+                save_state(state, model, optimiser, progress | {"step": done})
+                draw_curves(log, folder / "curves.png")
+    return folder / "best.safetensors"
+
+
+def take_step(
+    model: nn.Module,
+    optimiser: torch.optim.Optimizer,
+    losses: Losses,
+    step: int,
+    random: torch.Generator,
+    config: LoopConfig,
+    state: Path,
+) -> dict[str, float]:
+    """One update; the terms and the gradient's norm as numbers."""
+    model.train()
+    for group in optimiser.param_groups:
+        group["lr"] = learning_rate(step, config)
+    terms = losses(step, random)
+    optimiser.zero_grad()
+    terms["total"].backward()
+    norm = nn.utils.clip_grad_norm_(model.parameters(), config.clip_gradients or math.inf)
+    row = {name: float(value.detach()) for name, value in terms.items()} | {"gradient": float(norm)}
+    for name, value in row.items():
+        if not math.isfinite(value):
+            remedy = "lower --loop.learning-rate or set --loop.clip-gradients"
+            kept = f"the last good checkpoint is {state}" if state.exists() else "there is no checkpoint yet"
+            raise UserError(f"step {step}", f"the term {name!r} became {value}", f"{kept}; {remedy}")
+    optimiser.step()
+    return row
+
+
+def keep_rows(log: Path, step: int):
+    """Drop what a killed run logged after its last checkpoint."""
+    rows = log.read_text().splitlines(keepends=True) if log.exists() else []
+    kept = [row for row in rows if row.endswith("\n") and json.loads(row)["step"] < step]
+    replace_file(log, "".join(kept).encode())
+
+
+def open_run(folder: Path, config: Any, resume: bool):
+    """Make the run folder and write its resolved configuration.
+
+    Raises:
+        UserError: the folder holds a run and ``resume`` is not asked for, or the other way round; or it is a file.
+    """
+    if folder.exists() and not folder.is_dir():
+        raise UserError(folder, "is a file", "give a folder with --out")
+    held = (folder / "config.json").exists()
+    if held and not resume:
+        raise UserError(folder, "already holds a run", "go on with --resume, or choose another folder with --out")
+    if resume and not held:
+        raise UserError(folder, "holds no run to resume", "start it without --resume")
+    folder.mkdir(parents=True, exist_ok=True)
+    replace_file(folder / "config.json", to_json(config))

@@ -1,0 +1,105 @@
+"""The training program of the inpainting MAE, and how well it inpaints."""
+
+from pathlib import Path
+
+import torch
+from torch import Tensor
+
+from refine.mae import MAE
+from refine.patches import patchify
+from renderers.body import Body
+from renderers.mesh import Mesh
+from renderers.skeleton import DRAWN_PARTS
+from train.checkpoints import hash_motions, provenance
+from train.config import MAETraining
+from train.data import load_clips_for, split
+from train.loop import fit, open_run, seed_of
+from train.pictures import Pictures, Poses, draw_pictures, poses_of
+from train.steps import mae_step, masked_errors
+
+
+def train_mae(config: MAETraining) -> Path:
+    """Run the whole program and return the path of the best weights, which ``refine.mae.load_mae`` reads.
+
+    Raises:
+        UserError: see ``open_run``, ``load_clips_for`` and ``fit``.
+    """
+    body = Body.free("light").to(config.device)
+    rest_joints = body.rest_joints.cpu()
+    motions = load_clips_for(config.data, rest_joints)
+    train, test = split(motions, config.data.held_out, config.data.seed)
+    open_run(config.out, config, config.resume)
+    record = {
+        "provenance": provenance(config.loop.seed, hash_motions(motions)),
+        "data": {"source": config.data.source, "clips": len(train), "held_out_clips": len(test)},
+        "pictures": config.pictures,
+    }
+    with torch.random.fork_rng():
+        torch.manual_seed(seed_of(config.loop.seed))
+        mae = MAE(config.network).to(config.device)
+    draw = drawing(body, config)
+    poses, unseen = (
+        Poses(*(value.to(config.device) for value in poses_of(clips, rest_joints, config.pictures.pinned)))
+        for clips in (train, test)
+    )
+    mean = draw(poses, 512, torch.Generator().manual_seed(1)).images.mean(0)
+    held_out = draw(unseen, config.measured, torch.Generator().manual_seed(2))
+    return fit(
+        mae,
+        lambda _, random: mae_step(draw(poses, config.batch, random), mae, config.body_weight),
+        config.loop,
+        config.out,
+        "mae",
+        record,
+        lambda: measure(mae, held_out, mean, config.body_weight),
+        config.resume,
+    )
+
+
+def drawing(body: Body, config: MAETraining):
+    """(poses, count, random) -> Pictures, as the configuration wants them."""
+    parts = body.face_parts if config.network.channels == len(DRAWN_PARTS) else None
+    mesh = Mesh.build(body.faces, parts)
+
+    def draw(poses: Poses, count: int, random: torch.Generator) -> Pictures:
+        return draw_pictures(
+            poses, count, body, mesh, config.network.size, config.network.patch, config.pictures, random
+        )
+
+    return draw
+
+
+@torch.no_grad()
+def measure(mae: MAE, pictures: Pictures, mean: Tensor, body_weight: float) -> dict[str, float]:
+    """The terms of ``mae_step`` on given pictures, and those of two inpainters that know nothing of bodies.
+
+    Args:
+        mean: [C H W] the mean picture of the training poses.
+
+    Returns:
+        ``total``, ``hidden``, ``body`` of the MAE, and ``hidden`` and ``body`` of the baselines, named ``mean_*``
+        (every hidden patch as in the mean picture) and ``nearest_*`` (as the nearest visible patch).
+    """
+    patch, images, kept = mae.config.patch, *pictures
+    found = [mae_step(Pictures(*part), mae, body_weight) for part in zip(images.split(64), kept.split(64), strict=True)]
+    sizes = torch.tensor([len(part) for part in images.split(64)], dtype=torch.float64)
+    figures = {
+        name: float((torch.tensor([float(terms[name]) for terms in found]).double() * sizes).sum() / sizes.sum())
+        for name in found[0]
+    }
+    for name, filled in (
+        ("mean", patchify(mean[None], patch).expand(len(images), -1, -1)),
+        ("nearest", fill_from_nearest(patchify(images, patch), kept)),
+    ):
+        errors, touched = masked_errors(filled, images, kept, patch)
+        figures[f"{name}_hidden"] = float(errors.sum() / (~kept).sum())
+        figures[f"{name}_body"] = float((errors * touched).sum() / touched.sum())
+    return figures
+
+
+def fill_from_nearest(patches: Tensor, kept: Tensor) -> Tensor:
+    """Patches [N P D] of a square grid, each replaced by the nearest one that is kept [N P] (of equals the first)."""
+    side = round(patches.shape[1] ** 0.5)
+    at = torch.cartesian_prod(torch.arange(side), torch.arange(side)).to(patches)
+    distance = torch.cdist(at, at).expand(len(kept), -1, -1).masked_fill(~kept[:, None], torch.inf)
+    return patches.gather(1, distance.argmin(-1)[..., None].expand(-1, -1, patches.shape[-1]))

@@ -1,0 +1,96 @@
+"""Pictures of single actions, and what of them stays visible: what the MAE learns from.
+
+Drawn as the decoupling loss draws, with the same body, rasteriser, pinning and camera, so that the MAE meets nothing
+new there; turned, moved and zoomed at random, so that it does not learn one camera by heart.
+"""
+
+import math
+from dataclasses import dataclass
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from refine.attention import attention_map
+from refine.decoupling import Clips, pin, reach
+from refine.energies import energy_signal, joint_energies
+from refine.motion import Motion
+from refine.patches import keep_random, keep_top, patch_means
+from renderers.body import Body
+from renderers.camera import frame
+from renderers.mesh import Mesh
+from renderers.rotations import rotation_about
+from renderers.silhouette import silhouette
+
+
+@dataclass(frozen=True)
+class PictureConfig:
+    """How single actions are drawn and masked."""
+
+    pinned: Literal["sequence", "frame", "body"] = "frame"
+    """What is taken out before drawing, as in ``DecouplingConfig``."""
+    yaw: float = 180.0
+    """Largest turn of the camera to either side, degrees."""
+    shift: float = 0.05
+    """Standard deviation of the body's place, metres."""
+    zoom: float = 0.06
+    """Largest margin about the frame, as a share of the picture; one margin for each batch."""
+    kept: float = 1 / 3
+    """Share of the patches that stays visible."""
+    attention_share: float = 0.5
+    """Share of the pictures that keep the patches of their action's attention field; the others keep random ones."""
+
+
+class Poses(NamedTuple):
+    """Every frame of some clips, pinned, and the energies of the clip it is from."""
+
+    rotations: Tensor  # [M 24 3 3]
+    root: Tensor  # [M 3] metres
+    energies: Tensor  # [M 24]
+
+
+class Pictures(NamedTuple):
+    """Drawn poses and their masks."""
+
+    images: Tensor  # [N C H W] in 0..1
+    kept: Tensor  # [N P] bool, True = visible
+
+
+def poses_of(motions: list[Motion], rest_joints: Tensor, pinned: str) -> Poses:
+    """All frames of clips of two frames or more."""
+    parts = []
+    for motion in motions:
+        if len(motion) > 1:
+            clip = pin(Clips(motion.rotations[None], motion.root[None]), pinned)
+            energies = joint_energies(energy_signal(motion.rotations, motion.root, rest_joints))
+            parts.append(Poses(clip.rotations[0], clip.root[0], energies.expand(len(motion), -1)))
+    return Poses(*(torch.cat(values) for values in zip(*parts, strict=True)))
+
+
+def draw_pictures(
+    poses: Poses,
+    count: int,
+    body: Body,
+    mesh: Mesh,
+    size: int,
+    patch: int,
+    config: PictureConfig,
+    random: torch.Generator,
+) -> Pictures:
+    """``count`` poses drawn at random, rendered at ``size`` pixels square and masked in patches of ``patch`` pixels."""
+    index = torch.randint(len(poses.root), (count,), generator=random).to(poses.root.device)
+    rotations, root, energies = (values[index] for values in poses)
+    yaw = math.radians(config.yaw) * (2 * torch.rand(count, generator=random) - 1)
+    turn = rotation_about("y", yaw).to(root)
+    root = (turn @ root[..., None])[..., 0] + config.shift * torch.randn(count, 3, generator=random).to(root)
+    rotations = torch.cat([(turn @ rotations[:, 0])[:, None], rotations[:, 1:]], dim=1)
+    margin = config.zoom * float(torch.rand((), generator=random))
+    camera = frame(reach(body.rest_joints, config.pinned), (size, size), margin=margin)
+    with torch.no_grad():
+        posed = body(rotations, root)
+        images = silhouette(posed.vertices, mesh, camera)
+        attention = patch_means(attention_map(energies, camera.project(posed.joints), (size, size)), patch)
+    by_attention = torch.rand(count, 1, generator=random) < config.attention_share
+    at_random = keep_random(count, attention.shape[1], config.kept, random)
+    kept = torch.where(by_attention.to(images.device), keep_top(attention, config.kept), at_random.to(images.device))
+    return Pictures(images, kept)
