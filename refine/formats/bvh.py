@@ -1,8 +1,8 @@
 """BVH: any hierarchy, any channel order, any unit of length, in and out.
 
 A joint's rotation is the product of its elementary rotations in the order its channels are listed, and position
-channels take the place of its OFFSET (protocol A.8). Angles are degrees and lengths an unknown unit on disk; inside they
-are matrices and metres.
+channels take the place of its OFFSET (protocol A.8). On disk angles are degrees and lengths have an unknown unit; inside
+they are matrices and metres.
 """
 
 import math
@@ -120,7 +120,7 @@ def read_bvh(path: str | Path, unit: str | None = None) -> Bvh:
 
 
 def write_bvh(path: str | Path, motion: Motion, rest_joints: Tensor) -> None:
-    """Write a motion on a skeleton with T-pose joints [24 3] in metres: smplx's joint names, ZXY channels, centimetres."""
+    """Write a motion on a skeleton with T-pose joints [24 3] in metres: smplx's joint names, centimetres."""
     with replacing(path) as partial:
         partial.write_text(bvh_text(motion_to_bvh(motion, rest_joints)))
 
@@ -241,7 +241,8 @@ def _hierarchy(path: Path, lines: Iterator[tuple[int, str]]) -> _Tree:
             key, *words = statement.split()
             key, where = key.upper(), f"{path}, line {number}"
             if key == "MOTION" and tree.names and not opened:
-                _check_tree(path, tree)
+                if not tree.columns:
+                    raise UserError(path, "no joint has channels", "export the animation too")
                 return tree
             if key in ("ROOT", "JOINT") and words and (key == "JOINT") == bool(opened) and None not in opened:
                 declared.append(_declare(where, tree, " ".join(words), opened[-1] if opened else -1))
@@ -295,15 +296,9 @@ def _channels(where: str, words: list[str]) -> tuple[str, ...]:
         problem = f"CHANNELS promises {words[0] if words else 'no number of'} channels and lists {len(names)}"
         raise UserError(where, problem, "export the file again")
     if len(set(names)) < len(names) or not set(names) <= set(CHANNEL_NAMES):
-        raise UserError(
-            where, f"unknown or repeated channel in '{' '.join(names)}'", f"known: {' '.join(CHANNEL_NAMES)}"
-        )
+        problem = f"unknown or repeated channel in '{' '.join(names)[:99]}'"
+        raise UserError(where, problem, f"known are {' '.join(CHANNEL_NAMES)}")
     return names
-
-
-def _check_tree(path: Path, tree: _Tree) -> None:
-    if not tree.columns:
-        raise UserError(path, "no joint has channels", "export the animation too")
 
 
 def _field(path: Path, lines: Iterator[tuple[int, str]], name: str, kind: type):
