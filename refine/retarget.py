@@ -32,7 +32,6 @@ LIMBS = {
     for side in ("left", "right")
     for joint, child in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
 }
-LEG = ("hip", "knee", "ankle")
 SOLES = tuple(JOINTS[f"{side}_{joint}"] for side in ("left", "right") for joint in ("ankle", "foot"))
 # A sole slower than this (metres a second) carries weight.
 PLANTED_SPEED = 0.15
@@ -121,8 +120,8 @@ def recognise(bvh: Bvh) -> Skeleton:
     lacks = ", ".join(sorted(missing[nearest])[:4])
     raise UserError(
         bvh.source,
-        f"its skeleton is not known ({len(bvh.names)} joints; nearest is {nearest}, but {lacks} and others are missing)",
-        f"rename the joints to those of {' or '.join(known.name for known in SKELETONS)}",
+        f"its skeleton is not known: nearest is {nearest}'s, but it lacks {lacks}",
+        f"rename its joints to those of {' or '.join(known.name for known in SKELETONS)}",
     )
 
 
@@ -139,10 +138,8 @@ def retarget(bvh: Bvh, rest_joints: Tensor, skeleton: Skeleton | None = None, la
     rest = rest_joints.detach().to("cpu", torch.float64)
     source = {name: bvh.names.index(place.joint) for name, place in skeleton.places.items()}
     joints, rotations = world(bvh)
-    turned = {
-        name: rotations[:, source[name]] @ alignment for name, alignment in _alignments(bvh, skeleton, rest).items()
-    }
-    turned = _complete(turned, skeleton)
+    alignments = _alignments(bvh, skeleton, rest)
+    turned = _complete({name: rotations[:, source[name]] @ alignments[name] for name in source}, skeleton)
     hips = (joints[:, source["left_hip"]] + joints[:, source["right_hip"]]) / 2
     middle = (rest[JOINTS["left_hip"]] + rest[JOINTS["right_hip"]]) / 2 - rest[0]
     root = hips * _leg_ratio(bvh, source, rest) - (turned[:, 0] @ middle)
@@ -195,12 +192,9 @@ def _complete(turned: dict[str, Tensor], skeleton: Skeleton) -> Tensor:
 
 
 def _leg_ratio(bvh: Bvh, source: dict[str, int], rest: Tensor) -> float:
-    ours = theirs = 0.0
-    for side in ("left", "right"):
-        for start, end in zip(LEG, LEG[1:], strict=False):
-            start, end = f"{side}_{start}", f"{side}_{end}"
-            ours += (rest[JOINTS[end]] - rest[JOINTS[start]]).norm().item()
-            theirs += _bone(bvh, bvh.names[source[end]]).norm().item()
+    bones = [(start, end) for start, end in LIMBS.items() if start.endswith(("hip", "knee"))]
+    ours = sum((rest[JOINTS[end]] - rest[JOINTS[start]]).norm().item() for start, end in bones)
+    theirs = sum(_bone(bvh, bvh.names[source[end]]).norm().item() for _, end in bones)
     return ours / theirs
 
 

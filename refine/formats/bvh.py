@@ -1,8 +1,8 @@
 """BVH: any hierarchy, any channel order, any unit of length, in and out.
 
 A joint's rotation is the product of its elementary rotations in the order its channels are listed, and position
-channels take the place of its OFFSET (protocol A.8). On disk angles are degrees and lengths have an unknown unit; inside
-they are matrices and metres.
+channels take the place of its OFFSET (protocol A.8). On disk angles are degrees and lengths have an unknown
+unit; inside they are matrices and metres.
 """
 
 import math
