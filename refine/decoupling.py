@@ -9,17 +9,17 @@ from dataclasses import dataclass
 from typing import Literal, NamedTuple
 
 import torch
-from renderers.body import Body
-from renderers.camera import Camera, frame
-from renderers.silhouette import silhouette
 from torch import Tensor, nn
 
 from refine.attention import attention_map
 from refine.energies import energy_signal, part_energies, spread_to_joints
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
+from renderers.body import Body
+from renderers.camera import Camera, frame
 from renderers.checks import UserError, check_shapes
 from renderers.mesh import Mesh
 from renderers.rotations import heading, rotation_about
+from renderers.silhouette import silhouette
 from renderers.skeleton import DRAWN_PART_NAMES, DRAWN_PARTS, PARTS, forward_kinematics, part_of_joint
 
 
@@ -101,12 +101,15 @@ def pin(clips: Clips, mode: str) -> Clips:
 
 
 def reach(rest_joints: Tensor, mode: str) -> Tensor:
-    """[8 3] metres: corners of a box that holds a body in any usual pose, pinned in ``mode``."""
+    """[32 3] metres: the rims of an upright drum that holds a body in any usual pose, pinned in ``mode``.
+
+    Round, so that every view shows the body equally large.
+    """
     height = float(rest_joints[:, 1].max() - rest_joints[:, 1].min())
-    low, high = (-0.75 * height, 0.75 * height) if mode == "body" else (-0.03 * height, 1.42 * height)
-    half = 0.72 * height
-    corners = torch.cartesian_prod(torch.tensor([-half, half]), torch.tensor([low, high]), torch.tensor([-half, half]))
-    return corners.to(rest_joints)
+    angle = torch.arange(16) * (2 * math.pi / 16)
+    rim = torch.stack([angle.sin(), torch.zeros(16), angle.cos()], dim=1) * (0.73 * height)
+    ends = (-0.73, 0.73) if mode == "body" else (-0.03, 1.43)
+    return torch.cat([rim + torch.tensor([0.0, end * height, 0.0]) for end in ends]).to(rest_joints)
 
 
 def take_frames(values: Tensor, frames: Tensor) -> Tensor:
