@@ -331,10 +331,11 @@ def shape_directions(half: Half) -> np.ndarray:
     return np.moveaxis(directions * np.sign(anchors)[:, None, None], 0, -1)
 
 
-def joint_regressor(half: Half, neighbours: int = 48, ridge: float = 1e-4) -> np.ndarray:
+def joint_regressor(half: Half, neighbours: int = 3, ridge: float = 1e-3) -> np.ndarray:
     """[24 V]: each joint from the vertices around it, exact on the neutral body and least squares over the samples.
 
-    Ridge regression under four equations: the weights sum to 1 and give the rest joint.
+    Ridge regression under four equations: the weights sum to 1 and give the rest joint. The vertices are the nearest
+    of every octant, since the nearest of all may lie on one side of the joint, which leaves its depth to extrapolation.
     """
     bodies = half.unfold(half.samples)
     regressor = np.zeros((len(JOINT_NAMES), bodies.shape[1]))
@@ -342,7 +343,7 @@ def joint_regressor(half: Half, neighbours: int = 48, ridge: float = 1e-4) -> np
     for index, name in enumerate(JOINT_NAMES):
         if name.startswith("right"):
             continue
-        nearest = np.argsort(np.linalg.norm(bodies[0] - half.joints[0, index], axis=-1))[:neighbours]
+        nearest = surrounding(bodies[0] - half.joints[0, index], neighbours)
         if MIRRORED[index] == index:
             nearest = np.union1d(nearest, mirror[nearest])
         around = bodies[:, nearest] - half.joints[:, [index]]
@@ -356,6 +357,13 @@ def joint_regressor(half: Half, neighbours: int = 48, ridge: float = 1e-4) -> np
         else:
             regressor[MIRRORED[index], mirror[nearest]] = weights
     return regressor
+
+
+def surrounding(offsets: np.ndarray, neighbours: int) -> np.ndarray:
+    """The vertices at the smallest ``offsets`` [V 3] in each octant."""
+    octants = (offsets > 0) @ [1, 2, 4]
+    by_distance = np.argsort(np.linalg.norm(offsets, axis=-1))
+    return np.concatenate([by_distance[octants[by_distance] == octant][:neighbours] for octant in range(8)])
 
 
 def mirrored_vertices(half: Half) -> np.ndarray:
