@@ -112,8 +112,7 @@ def read_bvh(path: str | Path, unit: str | None = None) -> Bvh:
         ends=tuple((joint, tuple(x * UNITS[unit] for x in offset)) for joint, offset in tree.ends),
         rotations=rotations,
         positions=positions * UNITS[unit],
-        # Frame Time is usually cut to seven digits: 0.0333333 means 30.
-        fps=round(1 / seconds, 2) if seconds < 1 else 1 / seconds,
+        fps=_rate(seconds),
         unit=unit,
         source=str(path),
     )
@@ -350,6 +349,12 @@ def _bad_row(path: Path, rows: list[tuple[int, str]], tree: _Tree) -> UserError:
             problem = f"has {len(words)} values, the hierarchy has {len(columns)} channels"
             return UserError(where, problem, "the file is cut short or damaged: export it again")
     return UserError(path, "its motion cannot be read as numbers", "export the file again")
+
+
+def _rate(seconds: float) -> float:
+    """Frames per second; a Frame Time cut to a few digits, such as 0.0333333, means a whole number."""
+    rate = 1 / seconds
+    return float(round(rate)) if abs(rate - round(rate)) < 2e-4 * rate else round(rate, 3)
 
 
 def _guess_unit(tree: _Tree) -> str:
