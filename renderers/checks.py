@@ -3,13 +3,17 @@
 An error names the place, what was expected, what came, and what to do next, in one line.
 """
 
+from __future__ import annotations  # torch is named below, but not imported: the command line answers --help without it
+
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
-import torch
-from torch import Tensor
+
+if TYPE_CHECKING:
+    from torch import Tensor
 
 
 class UserError(ValueError):
@@ -58,7 +62,9 @@ def check_shapes(where: str, bound: dict[str, int] | None = None, /, **tensors: 
     return sizes
 
 
-def check_finite(where: str | Path, values: Tensor | np.ndarray, axes: str, names: dict[str, tuple[str, ...]] | None = None):
+def check_finite(
+    where: str | Path, values: Tensor | np.ndarray, axes: str, names: dict[str, tuple[str, ...]] | None = None
+):
     """Refuse NaN and infinity, saying where the first one stands.
 
     Args:
@@ -69,13 +75,13 @@ def check_finite(where: str | Path, values: Tensor | np.ndarray, axes: str, name
     Raises:
         UserError: naming the index along every axis of the first value that is not finite.
     """
-    array = values.detach().cpu().numpy() if isinstance(values, Tensor) else np.asarray(values)
+    array = np.asarray(values.detach().cpu() if hasattr(values, "detach") else values)
     bad = ~np.isfinite(array)
     if not bad.any():
         return
     first = np.argwhere(bad)[0]
     place = ", ".join(
-        f"{axis} {(names or {}).get(axis, {}) [index] if axis in (names or {}) else index}"
+        f"{axis} {(names or {}).get(axis, {})[index] if axis in (names or {}) else index}"
         for axis, index in zip(axes.split(), first, strict=True)
     )
     raise UserError(

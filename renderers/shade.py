@@ -20,10 +20,10 @@ class Light:
     """A key light, a sky and a rim; directions point towards the light, in camera axes (x right, y down, z forward)."""
 
     key: tuple[float, float, float] = (-0.45, -0.65, -0.6)
-    ambient: float = 0.52
+    ambient: float = 0.58
     diffuse: float = 0.55
     rim: float = 0.22
-    shadow: float = 0.42
+    shadow: float = 0.32
     shadow_softness: float = 0.05  # metres
     grid: float = 0.5  # metres between the lines of the floor
 

@@ -1,0 +1,76 @@
+"""``refine compose``: two clips in, one motion out."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+from renderers.checks import UserError
+
+
+@dataclass(frozen=True)
+class Compose:
+    """Compose two motions into one and refine it.
+
+    Both run from their first frame, at A's frame rate, for as long as the shorter of them.
+
+    Example: refine compose walk.bvh wave.bvh -o both.bvh --report pictures
+    """
+
+    a: Positional[str]
+    """First clip: a .bvh or .npz file, or the name of a built-in action."""
+    b: Positional[str]
+    """Second clip."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """File to write, .bvh or .npz."""
+    lam: float = 0.5
+    """Share of A where both move alike, 0 to 1."""
+    steps: int = 60
+    """Refinement steps; 0 only couples."""
+    body: Path | None = None
+    """Your SMPL file (.npz or .pkl) instead of the free body."""
+    mae: Path | None = None
+    """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
+    report: Path | None = None
+    """Folder for pictures of every stage and report.json."""
+    force: bool = False
+    """Replace outputs that are already there."""
+    seed: int = 0
+    """Of the frames that refinement draws, and of built-in actions."""
+
+    def run(self) -> None:
+        from refine.cli.inputs import bar, body_of, judge_of, pair_of
+        from refine.composition import Composition, compose
+        from refine.coupling import couple
+        from refine.formats.files import check_suffix, save_motion
+        from refine.refinement import RefinementConfig
+        from refine.report import losses, write_report
+        from renderers.outputs import refuse_existing, replacing_folder
+
+        check_suffix(self.out)
+        if self.steps < 0:
+            raise UserError("--steps", f"expected 0 or more, got {self.steps}")
+        if not 0 <= self.lam <= 1:
+            raise UserError("--lam", f"expected a weight between 0 and 1, got {self.lam}")
+        for output in filter(None, (self.out, self.report)):
+            refuse_existing(output, self.force)
+
+        body = body_of(self.body)
+        i, j = pair_of(self.a, self.b, body.rest_joints, self.seed)
+        if self.steps == 0 and self.report is None:
+            coupled = couple(i, j, body.rest_joints, self.lam)
+            composition = Composition(i, j, coupled, coupled.motion)
+        else:
+            config = RefinementConfig(steps=self.steps, seed=self.seed)
+            with bar(self.steps, "refine") as progress:
+                composition = compose(i, j, judge_of(body, self.mae), self.lam, None, config, progress)
+        save_motion(composition.motion, self.out, body.rest_joints, force=self.force)
+        print(f"{self.out}  {len(composition.motion)} frames at {composition.motion.fps:g} fps")
+        if composition.before and composition.after:
+            before, after = losses(composition.before)["total"], losses(composition.after)["total"]
+            print(f"decoupling loss  {before:.5f} coupled, {after:.5f} refined")
+        if self.report:
+            with replacing_folder(self.report) as partial:
+                write_report(partial, composition, body_of(self.body, "full"))
+            print(self.report / "report.html")

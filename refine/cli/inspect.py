@@ -1,0 +1,68 @@
+"""``refine inspect``: the loop's every stage, to look at."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from tyro.conf import Positional, arg
+
+
+@dataclass(frozen=True)
+class Inspect:
+    """Show every stage of the loop: joints and energies, attention, kept patches, inpainting, difference.
+
+    Compares the coupled motion with the refined one, or with any other composition of A and B.
+
+    Example: refine inspect walk wave-both-hands -o pictures
+    """
+
+    a: Positional[str]
+    """First clip: a .bvh or .npz file, or the name of a built-in action."""
+    b: Positional[str]
+    """Second clip."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Folder to write; replaced as a whole with --force."""
+    composition: str | None = None
+    """A motion to judge in place of the refined one, frame for frame with A and B."""
+    frames: int = 4
+    """Moments to draw, evenly spread."""
+    lam: float = 0.5
+    """Share of A where both move alike, 0 to 1."""
+    steps: int = 60
+    """Refinement steps."""
+    body: Path | None = None
+    """Your SMPL file instead of the free body."""
+    mae: Path | None = None
+    """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
+    force: bool = False
+    """Replace the folder if something is in it."""
+    seed: int = 0
+    """Of the frames that refinement draws, and of built-in actions."""
+
+    def run(self) -> None:
+        from refine.cli.inputs import bar, body_of, clip_of, judge_of, pair_of
+        from refine.composition import Composition, compose, judge
+        from refine.coupling import couple
+        from refine.motion import crop, resample
+        from refine.refinement import RefinementConfig
+        from refine.report import write_report
+        from renderers.outputs import refuse_existing, replacing_folder
+
+        refuse_existing(self.out, self.force)
+        body = body_of(self.body)
+        i, j = pair_of(self.a, self.b, body.rest_joints, self.seed)
+        decoupler = judge_of(body, self.mae)
+        if self.composition is None:
+            config = RefinementConfig(steps=self.steps, seed=self.seed)
+            with bar(self.steps, "refine") as progress:
+                composition = compose(i, j, decoupler, self.lam, None, config, progress)
+        else:
+            given = resample(clip_of(self.composition, body.rest_joints, self.seed), i.fps)
+            frames = min(len(given), len(i))
+            i, j, given = (crop(clip, 0, frames) for clip in (i, j, given))
+            coupled = couple(i, j, body.rest_joints, self.lam)
+            traces = [judge(motion, i, j, decoupler) for motion in (coupled.motion, given)]
+            composition = Composition(i, j, coupled, given, *traces)
+        with replacing_folder(self.out) as partial:
+            write_report(partial, composition, body_of(self.body, "full"), self.frames, len(decoupler.config.views))
+        print(self.out / "report.html")

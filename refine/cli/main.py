@@ -1,0 +1,61 @@
+"""``refine``: reads the command line, runs the verb, and words what went wrong in one line."""
+
+import sys
+from collections.abc import Sequence
+
+from tyro.conf import CascadeSubcommandArgs, FlagCreatePairsOff
+from tyro.extras import SubcommandApp
+
+from refine.cli.compose import Compose
+from refine.cli.data import ImportData
+from refine.cli.demo import Demo
+from refine.cli.generate import Generate
+from refine.cli.inspect import Inspect
+from refine.cli.render import Render
+from refine.cli.train import TrainGenerator, TrainMAE
+from renderers.checks import UserError
+
+DESCRIPTION = "Compose two human actions into one motion and refine it with a differentiable renderer in the loop."
+
+
+def verbs() -> SubcommandApp:
+    """Every verb's flags. Their modules are light: what a verb works with it imports when it runs."""
+    app, data, train = SubcommandApp(), SubcommandApp(), SubcommandApp()
+    data.command(ImportData, name="import")
+    train.command(TrainMAE, name="mae")
+    train.command(TrainGenerator, name="generator")
+    app.command(Demo, name="demo")
+    app.command(Compose, name="compose")
+    app.command(Inspect, name="inspect")
+    app.command(Render, name="render")
+    app.command(data, name="data", help="Prepare motion data.\n\nExample: refine data import clips --out clips.npz")
+    app.command(train, name="train", help="Train the networks.\n\nExample: refine train mae tiny --out runs/mae")
+    app.command(Generate, name="generate")
+    return app
+
+
+def main(argv: Sequence[str] | None = None) -> int:
+    """Run one command: 0 when it is done, 2 for what the user can mend, 130 after Ctrl-C."""
+    try:
+        verb = verbs().cli(
+            prog="refine", description=DESCRIPTION, args=argv, config=(FlagCreatePairsOff, CascadeSubcommandArgs)
+        )
+        verb.run()
+    except KeyboardInterrupt:
+        return fail("stopped; nothing half-written is left", 130)
+    except UserError as error:
+        return fail(str(error), 2)
+    except OSError as error:
+        if error.filename is None:
+            raise
+        return fail(f"{error.filename}: {error.strerror}", 2)
+    return 0
+
+
+def fail(message: str, code: int) -> int:
+    print("refine:", " ".join(message.split()), file=sys.stderr)
+    return code
+
+
+if __name__ == "__main__":
+    sys.exit(main())

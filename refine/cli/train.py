@@ -1,0 +1,72 @@
+"""``refine train mae`` and ``refine train generator``: flags straight from the training programs' configurations."""
+
+from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING, Annotated, Any
+
+from tyro.conf import arg
+from tyro.extras import subcommand_type_from_defaults
+
+if TYPE_CHECKING:
+    from train.config import GeneratorTraining, MAETraining
+
+
+def mae_presets() -> Any:
+    from train.config import MAE_PRESETS
+
+    return preset_type(MAE_PRESETS)
+
+
+def generator_presets() -> Any:
+    from train.config import GENERATOR_PRESETS
+
+    return preset_type(GENERATOR_PRESETS)
+
+
+def preset_type(presets: dict[str, tuple[str, Any]]) -> Any:
+    """A choice between presets, each of whose values is a flag."""
+    defaults = {name: config for name, (_, config) in presets.items()}
+    return subcommand_type_from_defaults(defaults, {name: said for name, (said, _) in presets.items()})
+
+
+def seeded(config: Any, seed: int | None) -> Any:
+    return config if seed is None else replace(config, loop=replace(config.loop, seed=seed))
+
+
+@dataclass(frozen=True)
+class TrainMAE:
+    """Train the MAE that inpaints pictures of single actions.
+
+    A run folder keeps configuration, log, curves, weights and a state; --resume goes on where it stopped.
+
+    Example: refine train mae tiny --out runs/mae
+    """
+
+    config: Annotated[Any, arg(name="", constructor_factory=mae_presets)]
+    seed: int | None = None
+    """The same as --loop.seed."""
+
+    def run(self) -> None:
+        from train.mae import train_mae
+
+        config: MAETraining = seeded(self.config, self.seed)
+        print(train_mae(config))
+
+
+@dataclass(frozen=True)
+class TrainGenerator:
+    """Train the generator of compositions on pairs of single actions.
+
+    A run folder keeps configuration, log, curves, weights and a state; --resume goes on where it stopped.
+
+    Example: refine train generator tiny --data.source clips.npz --out runs/generator
+    """
+
+    config: Annotated[Any, arg(name="", constructor_factory=generator_presets)]
+    seed: int | None = None
+    """The same as --loop.seed."""
+
+    def run(self) -> None:
+        from train.generator import train_generator
+
+        config: GeneratorTraining = seeded(self.config, self.seed)
+        print(train_generator(config))

@@ -1,0 +1,66 @@
+"""The main job in one call: two actions in, one composed and refined motion out."""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+
+import torch
+
+from refine.coupling import Coupling, CouplingConfig, couple
+from refine.decoupling import Clips, Decoupler, Trace
+from refine.motion import Motion, crop, resample
+from refine.refinement import RefinementConfig, refine_motion
+
+
+@dataclass(frozen=True)
+class Composition:
+    """A composed motion with everything it was made of."""
+
+    i: Motion
+    j: Motion
+    coupling: Coupling
+    motion: Motion
+    before: Trace | None = None
+    """Of the coupled motion; None when nobody looked."""
+    after: Trace | None = None
+    history: dict[str, list[float]] | None = None
+    """Loss terms of each refinement step."""
+
+
+def compose(
+    i: Motion,
+    j: Motion,
+    decoupler: Decoupler,
+    lam: float = 0.5,
+    coupling: CouplingConfig | None = None,
+    refinement: RefinementConfig | None = None,
+    progress: Callable[[int, dict[str, float]], None] | None = None,
+) -> Composition:
+    """Couple two clips and refine the result.
+
+    Both run from their first frame; j is resampled to i's frame rate, and the length is that of the shorter.
+
+    Args:
+        lam: share of i where both move alike, 0..1.
+        progress: called after every refinement step.
+
+    Raises:
+        UserError: a clip of a single frame, or ``lam`` outside 0..1.
+    """
+    i, j = aligned(i, j)
+    coupled = couple(i, j, decoupler.body.rest_joints, lam, coupling)
+    refined = refine_motion(coupled.motion, i, j, decoupler, refinement, progress)
+    return Composition(i, j, coupled, refined.motion, refined.before, refined.after, refined.history)
+
+
+def aligned(i: Motion, j: Motion) -> tuple[Motion, Motion]:
+    """Both clips from their first frame, at i's frame rate, as long as the shorter."""
+    j = resample(j, i.fps)
+    frames = min(len(i), len(j))
+    return crop(i, 0, frames), crop(j, 0, frames)
+
+
+def judge(motion: Motion, i: Motion, j: Motion, decoupler: Decoupler) -> Trace:
+    """Eq. 7's trace of every frame of ``motion`` against two aligned sub-actions."""
+    clips = [Clips(clip.rotations[None], clip.root[None]) for clip in (motion, i, j)]
+    with torch.no_grad():
+        return decoupler(*clips, torch.arange(len(motion))[None])
