@@ -19,8 +19,8 @@ from torch.autograd.function import once_differentiable
 
 from renderers.mesh import Mesh
 
-# Areas are summed as whole multiples of 2^-40: sums do not depend on their order, and background is exactly 0.
-UNIT = 2.0**-40
+# Areas are summed as whole multiples of 1 / UNIT: no sum depends on its order, and background is exactly 0.
+UNIT = 2**40
 
 
 class Folds(NamedTuple):
@@ -33,20 +33,15 @@ class Folds(NamedTuple):
 
 
 class Outline(NamedTuple):
-    """The M places where a scan enters or leaves a silhouette. Columns are seen with x and y exchanged."""
+    """The M places where the lines of a scan enter or leave a silhouette."""
 
-    pixel: Tensor  # [M] in the flattened images
+    pixel: Tensor  # [M] in the flattened [N C H W] images
+    part: Tensor  # [M] 0..1, the part of that pixel before the place
+    step: Tensor  # [M] 1 enters, -1 leaves
+    seen: Tensor  # [M] 1, but 0 for what has been entered left of the image
     ends: Tensor  # [2 M] as in Folds
     weight: Tensor  # [M] 0..1, how far from the first end to the second
     sweep: Tensor  # [M 2] area, in pixels, that is won when the place moves by one pixel in x, in y
-
-
-class Scan(NamedTuple):
-    """The area that one direction of scanning finds, float64."""
-
-    area: Tensor  # [N C, H, W] 0..1
-    crossings: Tensor  # [N C, H, W] of lines and outline
-    outline: Outline
 
 
 def coverage(points: Tensor, mesh: Mesh, size: tuple[int, int], subscanlines: int = 4) -> Tensor:
@@ -69,23 +64,39 @@ def coverage(points: Tensor, mesh: Mesh, size: tuple[int, int], subscanlines: in
 class _Coverage(torch.autograd.Function):
     @staticmethod
     def forward(ctx, points: Tensor, mesh: Mesh, size: tuple[int, int], subscanlines: int) -> Tensor:
-        height, width = size
-        images = len(points) * mesh.channels
+        images, (height, width) = len(points) * mesh.channels, size
         folds = find_folds(points, mesh)
-        rows = scan(folds, images, height, width, subscanlines)
-        columns = scan(folds._replace(points=folds.points.flip(-1)), images, width, height, subscanlines)
+        rows = find_outline(folds, images, height, width, subscanlines)
+        folds = folds._replace(points=folds.points.flip(-1))
+        columns = find_outline(folds, images, width, height, subscanlines)
+        row_area = fill(rows, images * height, width, subscanlines)
+        column_area = fill(columns, images * width, height, subscanlines)
+
+        row_pixel, column_pixel = rows.pixel, exchange(columns.pixel, width, height)
+        touched = torch.cat([row_pixel, column_pixel])
+        column_area = column_area[torch.cat([exchange(rows.pixel, height, width), columns.pixel])]
+        row_count = torch.zeros_like(row_area).index_add_(0, row_pixel, rows.seen)[touched]
+        column_count = torch.zeros_like(row_area).index_add_(0, column_pixel, columns.seen)[touched]
+        row_area[touched] = blend(row_area[touched], column_area, row_count, column_count)
+
         ctx.points_shape = points.shape
-        ctx.save_for_backward(*rows.outline, *columns.outline)
-        area = blend(rows.area, columns.area.mT, rows.crossings, columns.crossings.mT)
-        return area.to(points.dtype).reshape(len(points), mesh.channels, height, width)
+        ctx.save_for_backward(
+            touched,
+            torch.cat([rows.ends, columns.ends], dim=1),
+            torch.cat([rows.weight, columns.weight]),
+            torch.cat([rows.sweep, columns.sweep.flip(-1)]),
+        )
+        return row_area.view(len(points), mesh.channels, height, width)
 
     @staticmethod
     @once_differentiable
     def backward(ctx, gradient: Tensor):
-        rows, columns = Outline(*ctx.saved_tensors[:4]), Outline(*ctx.saved_tensors[4:])
-        frames, vertices, _ = ctx.points_shape
-        pulls = _pulls(rows, gradient, frames * vertices) + _pulls(columns, gradient.mT, frames * vertices).flip(-1)
-        return pulls.to(gradient.dtype).reshape(ctx.points_shape), None, None, None
+        pixel, ends, weight, sweep = ctx.saved_tensors
+        pull = sweep * gradient.flatten()[pixel, None]
+        second = pull * weight[:, None]
+        pulls = gradient.new_zeros(ctx.points_shape, dtype=torch.float64).view(-1, 2)
+        pulls.index_put_((ends.flatten(),), torch.cat([pull - second, second]).double(), accumulate=True)
+        return pulls.to(gradient.dtype).view(ctx.points_shape), None, None, None
 
 
 def find_folds(points: Tensor, mesh: Mesh) -> Folds:
@@ -111,7 +122,7 @@ def find_folds(points: Tensor, mesh: Mesh) -> Folds:
     )
 
 
-def scan(folds: Folds, images: int, height: int, width: int, subscanlines: int) -> Scan:
+def find_outline(folds: Folds, images: int, height: int, width: int, subscanlines: int) -> Outline:
     """Scan all images along their rows; or along their columns, with x and y (and height and width) exchanged."""
     lines = height * subscanlines
     x, y = folds.points.view(2, -1, 2).unbind(-1)
@@ -121,39 +132,32 @@ def scan(folds: Folds, images: int, height: int, width: int, subscanlines: int) 
     first, last = (y * subscanlines - 0.5).ceil().clamp(0, lines).long()
     repeats = (last - first).abs()
     edge = torch.repeat_interleave(repeats)
-    line = (
-        torch.arange(len(edge), device=edge.device) + (torch.minimum(first, last) - repeats.cumsum(0) + repeats)[edge]
-    )
+    before = repeats.cumsum(0) - repeats
+    line = torch.arange(len(edge), device=edge.device) + (torch.minimum(first, last) - before)[edge]
     weight = ((line + 0.5).to(y.dtype) / subscanlines - y[0, edge]) / (y[1] - y[0])[edge]
     weight = weight.clamp(0, 1)
     place = torch.lerp(x[0, edge], x[1, edge], weight).clamp(0, width)
-    line = line + folds.image[edge] * lines
+    line = line + (folds.image * lines)[edge]
 
     order = _order(line, place, images * lines, width)
     covered = (folds.winding * (last - first).sign())[edge[order]].cumsum(0) != 0
     step = torch.diff(covered.long(), prepend=covered.new_zeros(1, dtype=torch.long))
-    kept = step.nonzero()[:, 0]
+    kept = ((step != 0) & (place[order] < width)).nonzero()[:, 0]
     step, kept = step[kept], order[kept]
     edge, line, place, weight = edge[kept], line[kept], place[kept], weight[kept]
 
-    inside = ((place > 0) & (place < width)).to(place.dtype)
-    row, cell = line // subscanlines, place.long()
-    past = ((place - cell).double() / UNIT).long() * step
-    at = row * (width + 2) + cell
-    area = past.new_zeros(images * height * (width + 2))
-    area.index_add_(0, at, round(1 / UNIT) * step - past).index_add_(0, at + 1, past)
-    area = area.view(images, height, width + 2).cumsum(-1)[..., :width].double() * (UNIT / subscanlines)
-    crossings = area.new_zeros(images * height * (width + 2)).index_add_(0, at, inside.double())
-
+    cell, seen = place.long(), (place > 0).to(place.dtype)
     normal = torch.stack([y[1] - y[0], x[0] - x[1]], dim=1)[edge]
     normal = normal / torch.hypot(*normal.unbind(1))[:, None]
-    outline = Outline(
-        pixel=row * width + cell.clamp(max=width - 1),
-        ends=folds.ends.view(2, -1)[:, edge].flatten(),
+    return Outline(
+        pixel=line // subscanlines * width + cell,
+        part=place - cell,
+        step=step,
+        seen=seen,
+        ends=folds.ends.view(2, -1)[:, edge],
         weight=weight,
-        sweep=(-step * inside / subscanlines * normal[:, 0])[:, None] * normal,
+        sweep=(-step * seen / subscanlines * normal[:, 0])[:, None] * normal,
     )
-    return Scan(area, crossings.view(images, height, width + 2)[..., :width], outline)
 
 
 def _order(line: Tensor, place: Tensor, lines: int, width: int) -> Tensor:
@@ -163,21 +167,30 @@ def _order(line: Tensor, place: Tensor, lines: int, width: int) -> Tensor:
     return ((line << place_bits) + place).argsort(stable=True)
 
 
-def blend(rows: Tensor, columns: Tensor, row_crossings: Tensor, column_crossings: Tensor) -> Tensor:
-    """The mean of two images, weighted by squared crossings; plain where neither scan meets the outline.
+def fill(outline: Outline, rows: int, width: int, subscanlines: int) -> Tensor:
+    """The area of each pixel, 0..1, flattened [rows width]: lines count from where they enter to where they leave."""
+    past = (outline.part.double() * UNIT).long() * outline.step
+    goes_on = (outline.pixel + 1) % width != 0
+    area = past.new_zeros(rows * width + 1)
+    area.index_add_(0, outline.pixel, UNIT * outline.step - past)
+    area.index_add_(0, outline.pixel + 1, past * goes_on)
+    area = area[:-1].view(rows, width).cumsum_(-1).view(-1)
+    return area.to(outline.part.dtype).div_(UNIT * subscanlines)
 
-    Rows are blind to horizontal outlines and columns to upright ones. The crossings that a piece of outline has with
-    either grow as |n_x| and |n_y|, so that their squares are the shares that the gradient uses as well.
+
+def exchange(pixel: Tensor, height: int, width: int) -> Tensor:
+    """Flat indices into images [... H W] as flat indices into [... W H], the images with x and y exchanged."""
+    row, column = pixel // width, pixel % width
+    image, row = row // height, row % height
+    return (image * width + column) * height + row
+
+
+def blend(rows: Tensor, columns: Tensor, row_count: Tensor, column_count: Tensor) -> Tensor:
+    """The mean of two areas, weighted by the squares of how often either scan crosses the outline there.
+
+    Rows are blind to level outlines and columns to upright ones. A piece of outline of normal n is crossed in
+    proportion to |n_x| and |n_y|, so the squares are the shares that the gradient has as well.
     """
-    row_weight, column_weight = row_crossings**2, column_crossings**2
+    row_weight, column_weight = row_count**2, column_count**2
     weight = row_weight + column_weight
-    share = torch.where(weight > 0, row_weight / weight.clamp(min=1), 0.5)
-    return torch.lerp(columns, rows, share)
-
-
-def _pulls(outline: Outline, gradient: Tensor, vertices: int) -> Tensor:
-    """What the picture's ``gradient`` does at the ends of the outline's edges: [V 2] in float64."""
-    pull = outline.sweep * gradient.flatten()[outline.pixel, None]
-    second = pull * outline.weight[:, None]
-    pulls = torch.zeros(vertices, 2, dtype=torch.float64, device=pull.device)
-    return pulls.index_put_((outline.ends,), torch.cat([pull - second, second]).double(), accumulate=True)
+    return torch.where(weight > 0, torch.lerp(columns, rows, row_weight / weight), rows)
