@@ -198,18 +198,59 @@ def _rotation_axes(channels: tuple[str, ...]) -> str:
 
 @dataclass
 class _Tree:
-    """The HIERARCHY section as it is read, in the file's unit."""
+    """The HIERARCHY section while it is read, in the file's unit."""
 
     names: list[str] = field(default_factory=list)
     parents: list[int] = field(default_factory=list)
     offsets: list[tuple[float, ...]] = field(default_factory=list)
     channels: list[tuple[str, ...]] = field(default_factory=list)
     ends: list[tuple[int, tuple[float, ...]]] = field(default_factory=list)
+    opened: list[int | None] = field(default_factory=list)  # joints whose braces are open, None for an End Site
+    declared: list[int | None] = field(default_factory=list)  # what the next brace opens, if anything
 
     @property
     def columns(self) -> list[tuple[int, str]]:
         """(joint, channel name) of every value of a frame."""
         return [(joint, name) for joint, names in enumerate(self.channels) for name in names]
+
+    def take(self, where: str, key: str, words: list[str]) -> bool:
+        """Take one statement in; False if it does not belong here."""
+        joint = self.opened[-1] if self.opened else None
+        if bool(self.declared) != (key == "{"):
+            return False
+        match key:
+            case "HIERARCHY":
+                return not self.names
+            case "ROOT" if words and not self.names:
+                self._declare(where, " ".join(words), -1)
+            case "JOINT" if words and joint is not None:
+                self._declare(where, " ".join(words), joint)
+            case "END" if joint is not None:
+                self.declared.append(None)
+            case "{" if len(self.opened) < MAX_DEPTH:
+                self.opened.append(self.declared.pop())
+            case "}" if self.opened:
+                self.opened.pop()
+            case "OFFSET" if joint is not None:
+                self.offsets[joint] = _offset(where, words)
+            case "OFFSET" if self.opened:
+                self.ends.append((self.opened[-2], _offset(where, words)))
+            case "CHANNELS" if joint is not None:
+                self.channels[joint] = _channels(where, words)
+            case _:
+                return False
+        return True
+
+    def _declare(self, where: str, name: str, parent: int) -> None:
+        if name in self.names:
+            raise UserError(where, f"a second joint is called '{name}'", "rename one")
+        if len(self.names) == MAX_JOINTS:
+            raise UserError(where, f"more than {MAX_JOINTS} joints", "export fewer joints")
+        self.declared.append(len(self.names))
+        self.names.append(name)
+        self.parents.append(parent)
+        self.offsets.append((0.0, 0.0, 0.0))
+        self.channels.append(())
 
 
 def _lines(path: Path) -> list[str]:
@@ -231,52 +272,19 @@ def _lines(path: Path) -> list[str]:
 
 def _hierarchy(path: Path, lines: Iterator[tuple[int, str]]) -> _Tree:
     """Read up to and with the line MOTION."""
-    tree = _Tree()
-    opened: list[int | None] = []  # joints whose braces are open, None for an End Site
-    declared: list[int | None] = []  # the joint or End Site whose opening brace comes next
-    number = 0
+    tree, number = _Tree(), 0
     for number, line in lines:
         for statement in filter(None, (part.strip() for part in re.split(r"([{}])", line))):
             key, *words = statement.split()
-            key, where = key.upper(), f"{path}, line {number}"
-            if key == "MOTION" and tree.names and not opened:
+            if key.upper() == "MOTION" and tree.names and not tree.opened:
                 if not tree.columns:
                     raise UserError(path, "no joint has channels", "export the animation too")
                 return tree
-            if key in ("ROOT", "JOINT") and words and (key == "JOINT") == bool(opened) and None not in opened:
-                declared.append(_declare(where, tree, " ".join(words), opened[-1] if opened else -1))
-            elif key == "END" and opened:
-                declared.append(None)
-            elif key == "{" and declared and len(opened) < MAX_DEPTH:
-                opened.append(declared.pop())
-            elif key == "}" and opened:
-                opened.pop()
-            elif key == "OFFSET" and opened:
-                offset = _offset(where, words)
-                if opened[-1] is not None:
-                    tree.offsets[opened[-1]] = offset
-                elif len(opened) > 1:
-                    tree.ends.append((opened[-2], offset))
-            elif key == "CHANNELS" and opened and opened[-1] is not None:
-                tree.channels[opened[-1]] = _channels(where, words)
-            elif key != "HIERARCHY" or tree.names:
-                problem = f"'{statement[:40]}' does not belong there, {len(opened)} braces deep"
+            where = f"{path}, line {number}"
+            if not tree.take(where, key.upper(), words):
+                problem = f"'{statement[:40]}' does not belong here, {len(tree.opened)} braces deep"
                 raise UserError(where, problem, "export the file again")
     raise UserError(f"{path}, line {number}", "the file ends inside its HIERARCHY", "export the file again")
-
-
-def _declare(where: str, tree: _Tree, name: str, parent: int) -> int:
-    if name in tree.names:
-        raise UserError(where, f"a second joint is called '{name}'", "rename one")
-    if parent < 0 and tree.names:
-        raise UserError(where, f"a second ROOT '{name}'", "keep one skeleton in a file")
-    if len(tree.names) == MAX_JOINTS:
-        raise UserError(where, f"more than {MAX_JOINTS} joints", "export fewer joints")
-    tree.names.append(name)
-    tree.parents.append(parent)
-    tree.offsets.append((0.0, 0.0, 0.0))
-    tree.channels.append(())
-    return len(tree.names) - 1
 
 
 def _offset(where: str, words: list[str]) -> tuple[float, ...]:
@@ -341,7 +349,7 @@ def _bad_row(path: Path, rows: list[tuple[int, str]], tree: _Tree) -> UserError:
         where = f"{path}, line {number} (frame {frame})"
         for word, (joint, channel) in zip(words, columns, strict=False):
             try:
-                float(word.replace("_", "?"))
+                float(word.replace("_", "?"))  # Python reads 1_0 as ten, NumPy does not read it
             except ValueError:
                 problem = f"'{word[:20]}' is not a number ({tree.names[joint]} {channel})"
                 return UserError(where, problem, "export the file again")
