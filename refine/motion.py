@@ -109,7 +109,7 @@ def to_features(six: Tensor, root: Tensor) -> Tensor:
 
     Row 24 holds the root relative to the first frame in its first three features and zeros behind.
     """
-    check_shapes("to_features", six=(six, "... 24 6"), root=(root, "... 3"))
+    check_shapes("to_features", six=(six, "... T 24 6"), root=(root, "... T 3"))
     relative = root - root[..., :1, :]
     row = torch.cat([relative, torch.zeros_like(relative)], dim=-1)
     return torch.cat([six, row[..., None, :]], dim=-2)

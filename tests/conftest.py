@@ -26,3 +26,11 @@ def real_clips(tmp_path_factory) -> list[Path]:
 @pytest.fixture
 def generator() -> torch.Generator:
     return torch.Generator().manual_seed(0)
+
+
+@pytest.fixture(scope="session")
+def rest_joints() -> torch.Tensor:
+    """[24 3] T-pose joints of the free body, metres."""
+    from renderers.body import Body
+
+    return Body.free().rest_joints
