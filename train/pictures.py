@@ -27,9 +27,9 @@ from renderers.silhouette import silhouette
 class PictureConfig:
     """How single actions are drawn and masked."""
 
-    pinned: Literal["sequence", "frame", "body"] = "frame"
+    pinned: Literal["sequence", "frame", "body"] = "body"
     """What is taken out before drawing, as in ``DecouplingConfig``."""
-    yaw: float = 180.0
+    yaw: float = 120.0
     """Largest turn of the camera to either side, degrees."""
     shift: float = 0.05
     """Standard deviation of the body's place, metres."""
@@ -39,6 +39,9 @@ class PictureConfig:
     """Share of the patches that stays visible."""
     attention_share: float = 0.5
     """Share of the pictures that keep the patches of their action's attention field; the others keep random ones."""
+    parts_hidden: float = 0.5
+    """Share of the pictures that lack some body parts altogether, as the decoupling loss hides what it does not ask
+    about. Needs a channel for each part."""
 
 
 class Poses(NamedTuple):
@@ -52,8 +55,9 @@ class Poses(NamedTuple):
 class Pictures(NamedTuple):
     """Drawn poses and their masks."""
 
-    images: Tensor  # [N C H W] in 0..1
+    images: Tensor  # [N C H W] in 0..1, whole
     kept: Tensor  # [N P] bool, True = visible
+    shown: Tensor  # [N C] bool, True = the part may be seen where the patch is visible
 
 
 def poses_of(motions: list[Motion], rest_joints: Tensor, pinned: str) -> Poses:
@@ -93,4 +97,11 @@ def draw_pictures(
     by_attention = torch.rand(count, 1, generator=random) < config.attention_share
     at_random = keep_random(count, attention.shape[1], config.kept, random)
     kept = torch.where(by_attention.to(images.device), keep_top(attention, config.kept), at_random.to(images.device))
-    return Pictures(images, kept)
+    shown = show_parts(count, mesh.channels, config.parts_hidden, random).to(images.device)
+    return Pictures(images, kept, shown)
+
+
+def show_parts(count: int, channels: int, hidden: float, random: torch.Generator) -> Tensor:
+    """[count channels] bool: a share ``hidden`` of the rows lacks each channel with an even chance, but never all."""
+    lacking = (torch.rand(count, 1, generator=random) < hidden) & (torch.rand(count, channels, generator=random) < 0.5)
+    return ~lacking | lacking.all(1, keepdim=True)

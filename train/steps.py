@@ -110,27 +110,34 @@ def lift(root: Tensor, height: Tensor) -> Tensor:
     return root + torch.nn.functional.pad(height[:, None, None], (1, 1))
 
 
-def masked_errors(patches: Tensor, images: Tensor, kept: Tensor, patch: int) -> tuple[Tensor, Tensor]:
-    """Mean squared error of each predicted patch [N P D] against images [N C H W].
+def masked_errors(patches: Tensor, images: Tensor, hidden: Tensor, patch: int) -> tuple[Tensor, Tensor]:
+    """Mean squared error of each predicted patch and channel.
+
+    Args:
+        patches: [N P D], predicted; images: [N C H W].
+        hidden: [N P C] bool, True = the MAE could not see it.
 
     Returns:
-        errors [N P], 0 where the patch was visible, and touched [N P], True = hidden and touched by the body.
+        errors [N P C], 0 where nothing was hidden, and touched [N P C], True = hidden, its patch touched by the body.
     """
     target = patchify(images, patch)
-    errors = (patches - target).square().mean(-1) * ~kept
-    return errors, (target.amax(-1) > 0) & ~kept
+    of_pixels = (patches - target).square().unflatten(-1, (patch * patch, -1))
+    touched = (target.amax(-1) > 0)[..., None] & hidden
+    return of_pixels.mean(-2) * hidden, touched
 
 
 def mae_step(batch: Pictures, mae: MAE, body_weight: float) -> dict[str, Tensor]:
-    """Error of the hidden patches, those that the body touches counting ``body_weight`` times.
+    """Error of what was hidden, where patches that the body touches count ``body_weight`` times.
 
     Returns:
-        scalars ``total``, ``hidden`` (the plain mean over hidden patches) and ``body`` (over the touched ones).
+        scalars ``total``, ``hidden`` (the plain mean over what was hidden) and ``body`` (over the touched patches).
     """
-    errors, touched = masked_errors(mae(batch.images, batch.kept), batch.images, batch.kept, mae.config.patch)
-    weights = torch.where(touched, body_weight, 1.0) * ~batch.kept
+    visible = batch.images * batch.shown[..., None, None]
+    hidden = ~batch.kept[..., None] | ~batch.shown[:, None]
+    errors, touched = masked_errors(mae(visible, batch.kept), batch.images, hidden, mae.config.patch)
+    weights = torch.where(touched, body_weight, 1.0) * hidden
     return {
         "total": (errors * weights).sum() / weights.sum(),
-        "hidden": errors.sum() / (~batch.kept).sum(),
+        "hidden": errors.sum() / hidden.sum(),
         "body": (errors * touched).sum() / touched.sum().clamp(min=1),
     }
