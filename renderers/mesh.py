@@ -34,7 +34,7 @@ class Mesh:
         Raises:
             UserError: for no faces, or negative vertex or part numbers.
         """
-        parts = torch.zeros_like(faces[:, 0]) if parts is None else parts
+        parts = faces.new_zeros(len(faces)) if parts is None else parts
         check_shapes("Mesh.build", faces=(faces, "F 3"), parts=(parts, "F"))
         if len(faces) == 0 or faces.min() < 0 or parts.min() < 0:
             raise UserError("Mesh.build", "expected at least one face and no negative numbers", "check the mesh")

@@ -2,7 +2,7 @@
 
 On each sub-scanline the silhouette is the union of the triangles' spans. Its length inside every pixel is exact along
 the scan; across it, ``subscanlines`` scans stand for a pixel. Rows and columns are scanned and averaged. Gradients flow
-through the ends of the spans by autograd alone.
+through the ends of the spans by autograd.
 """
 
 import torch
@@ -65,5 +65,10 @@ def _spans(y: float, triangles: Tensor) -> Tensor:
     crossed = (start[..., 1] > y) != (end[..., 1] > y)
     hit = crossed.any(1)
     start, end = start[hit][crossed[hit]], end[hit][crossed[hit]]
-    weight = (y - start[:, 1]) / (end[:, 1] - start[:, 1])
-    return (start[:, 0] + weight * (end[:, 0] - start[:, 0])).reshape(-1, 2).sort(dim=1).values
+    along, across = (end - start).unbind(1)
+    place = start[:, 0] + (y - start[:, 1]) / across * along
+    # Rows answer for upright edges and columns for level ones, in shares that add up: each alone would be an estimate
+    # of the whole gradient, but a wild one where edge and scan are nearly parallel. Twice, as the two are averaged.
+    share = (2 * across**2 / (across**2 + along**2)).detach()
+    place = place.detach() + share * (place - place.detach())
+    return place.view(-1, 2).sort(dim=1).values

@@ -19,7 +19,9 @@ def sphere(rings: int = 6, segments: int = 8) -> tuple[Tensor, Tensor]:
     """A closed unit sphere with outward faces."""
     polar = torch.arange(1, rings, dtype=torch.float64)[:, None] * pi / rings
     around = torch.arange(segments, dtype=torch.float64) * 2 * pi / segments
-    body = torch.stack([polar.sin() * around.sin(), polar.cos().expand(-1, segments), polar.sin() * around.cos()], dim=-1)
+    body = torch.stack(
+        [polar.sin() * around.sin(), polar.cos().expand(-1, segments), polar.sin() * around.cos()], dim=-1
+    )
     poles = torch.tensor([[0.0, 1.0, 0.0], [0.0, -1.0, 0.0]], dtype=torch.float64)
     here = torch.arange((rings - 1) * segments).view(rings - 1, segments)
     beside = here.roll(-1, dims=1)
