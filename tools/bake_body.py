@@ -393,12 +393,13 @@ def simplify(full: Half, shapedirs: np.ndarray, vertices: int) -> tuple[Half, np
         """[... H C] -> [... P C]"""
         return (values[..., corners, :] * shares[:, :, None]).sum(axis=-2)
 
-    weights = follow(full.weights)
-    # The nearest triangle of a point on the seam lies on the left; its mirror image has the same say.
+    weights, samples = follow(full.weights), points + follow(full.samples - rest)
+    directions = follow(np.moveaxis(shapedirs, -1, 0))
+    # A point of the seam follows a triangle on the left; its mirror image has the same say.
     weights[: len(border)] = (weights[: len(border)] + weights[: len(border), MIRRORED]) / 2
+    samples[:, : len(border), 0] = directions[:, : len(border), 0] = 0
     near = {name: int(np.linalg.norm(points - rest[at], axis=-1).argmin()) for name, at in full.landmarks.items()}
-    light = Half(points + follow(full.samples - rest), full.joints, weights, faces, len(border), near)
-    return light, np.moveaxis(follow(np.moveaxis(shapedirs, -1, 0)), 0, -1)
+    return Half(samples, full.joints, weights, faces, len(border), near), np.moveaxis(directions, 0, -1)
 
 
 def border_vertices(faces: np.ndarray) -> np.ndarray:

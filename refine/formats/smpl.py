@@ -3,6 +3,7 @@
 The files are licensed to their users and never ship here. They are told apart by the shapes of their arrays.
 """
 
+from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,7 +12,7 @@ import numpy as np
 from refine.formats.npz import read_npz
 from refine.formats.unpickle import Inert, read_pickle
 from renderers.body import SHAPES, Body, BodyArrays
-from renderers.checks import UserError, check_finite
+from renderers.checks import UserError, check_finite, check_shapes
 from renderers.skeleton import JOINT_NAMES, PARENTS
 
 SMPL_VERTICES = 6890
@@ -51,16 +52,19 @@ def _read(path: Path) -> dict[str, np.ndarray]:
 
 
 def _array(path: Path, key: str, value: Any) -> np.ndarray:
-    """A plain array from what v1.0 stores: NumPy, chumpy (``x`` holds the values) or scipy.sparse."""
-    if isinstance(value, Inert) and isinstance(value.state, dict):
-        if value.name.startswith("chumpy.") and "x" in value.state:
-            return _array(path, key, value.state["x"])
-        if value.name.startswith("scipy.sparse."):
-            return _dense(path, key, value)
-    if not isinstance(value, np.ndarray):
-        what = value.name if isinstance(value, Inert) else type(value).__name__
-        raise UserError(f"{path}, array '{key}'", f"is stored as {what}, which cannot be read", REMEDY)
-    return np.asarray(value)
+    """A plain array from what v1.0 stores: NumPy, chumpy or scipy.sparse."""
+    if isinstance(value, Inert) and value.name.startswith("scipy.sparse."):
+        return _dense(path, key, value)
+    match value:
+        case np.ndarray():
+            return np.asarray(value)
+        case Inert(name="chumpy.ch.Ch", state={"x": values}):
+            return _array(path, key, values)
+        case Inert(name="chumpy.reordering.Select", state={"a": whole, "idxs": chosen, "preferred_shape": shape}):
+            with suppress(TypeError, ValueError, IndexError):
+                return _array(path, key, whole).ravel()[np.asarray(chosen)].reshape(shape)
+    what = value.name if isinstance(value, Inert) else type(value).__name__
+    raise UserError(f"{path}, array '{key}'", f"is stored as {what}, which cannot be read", REMEDY)
 
 
 def _dense(path: Path, key: str, sparse: Inert) -> np.ndarray:
@@ -84,26 +88,23 @@ def _checked_arrays(path: str | Path, stored: dict[str, np.ndarray]) -> BodyArra
     missing = [key for key in KEYS if key not in stored]
     if missing:
         raise UserError(path, f"is not an SMPL body: it has no {', '.join(missing)}", REMEDY)
-    vertices, joints = len(stored["v_template"]), stored["weights"].shape[-1]
-    if joints != len(JOINT_NAMES):
-        relative = RELATIVES.get(joints, "some other")
-        raise UserError(path, f"is {relative} body with {joints} joints, not SMPL with {len(JOINT_NAMES)}", REMEDY)
-    expected = {
-        "v_template": (vertices, 3),
-        "shapedirs": (vertices, 3, None),
-        "posedirs": (vertices, 3, POSE_CORRECTIVES),
-        "J_regressor": (joints, vertices),
-        "weights": (vertices, joints),
-        "f": (None, 3),
-        "kintree_table": (2, joints),
-    }
-    for key, sizes in expected.items():
-        shape = stored[key].shape
-        if len(shape) != len(sizes) or any(want not in (None, got) for want, got in zip(sizes, shape, strict=True)):
-            wanted = ", ".join("any" if size is None else str(size) for size in sizes)
-            raise UserError(f"{path}, array '{key}'", f"has shape {list(shape)}, expected [{wanted}]", REMEDY)
-        if stored[key].dtype.kind not in "iuf":
-            raise UserError(f"{path}, array '{key}'", f"holds {stored[key].dtype}, not numbers", REMEDY)
+    for key, array in stored.items():
+        if array.dtype.kind not in "iuf":
+            raise UserError(f"{path}, array '{key}'", f"holds {array.dtype}, not numbers", REMEDY)
+    skeleton = {"weights": (stored["weights"], "V J"), "kintree_table": (stored["kintree_table"], "2 J")}
+    sizes = check_shapes(str(path), **skeleton)
+    if sizes["J"] != len(JOINT_NAMES):
+        relative = RELATIVES.get(sizes["J"], "some other")
+        raise UserError(path, f"is {relative} body with {sizes['J']} joints, not SMPL with {len(JOINT_NAMES)}", REMEDY)
+    check_shapes(
+        str(path),
+        sizes,
+        v_template=(stored["v_template"], "V 3"),
+        shapedirs=(stored["shapedirs"], "V 3 S"),
+        posedirs=(stored["posedirs"], f"V 3 {POSE_CORRECTIVES}"),
+        J_regressor=(stored["J_regressor"], "J V"),
+        f=(stored["f"], "F 3"),
+    )
     for key, axes in AXES.items():
         check_finite(f"{path}, array '{key}'", stored[key], axes)
     if stored["shapedirs"].shape[-1] < SHAPES:
@@ -111,8 +112,10 @@ def _checked_arrays(path: str | Path, stored: dict[str, np.ndarray]) -> BodyArra
     if tuple(int(parent) for parent in stored["kintree_table"][0, 1:]) != PARENTS[1:]:
         raise UserError(f"{path}, array 'kintree_table'", "is not SMPL's tree of joints", REMEDY)
     faces = stored["f"].astype(np.int64)
-    if len(faces) == 0 or faces.min() < 0 or faces.max() >= vertices:
-        raise UserError(f"{path}, array 'f'", f"names vertices outside 0..{vertices - 1}", REMEDY)
+    if len(faces) == 0 or faces.min() < 0 or faces.max() >= sizes["V"]:
+        raise UserError(
+            f"{path}, array 'f'", f"has no faces, or some with vertices outside 0..{sizes['V'] - 1}", REMEDY
+        )
     rest = stored["v_template"]
     return BodyArrays(
         v_template=rest - [0, rest[:, 1].min(), 0],  # SMPL's origin is at the chest, this project's on the floor
@@ -121,7 +124,7 @@ def _checked_arrays(path: str | Path, stored: dict[str, np.ndarray]) -> BodyArra
         J_regressor=stored["J_regressor"],
         weights=stored["weights"],
         faces=faces,
-        vertex_ids=_landmarks(vertices),
+        vertex_ids=_landmarks(len(rest)),
     )
 
 

@@ -45,21 +45,14 @@ def read_pickle(path: str | Path, max_bytes: int = MAX_BYTES) -> Any:
         if size > max_bytes:
             raise UserError(path, f"has {size} bytes, more than the {max_bytes} allowed", "check the file")
         return _Unpickler(io.BytesIO(path.read_bytes()), encoding="latin1").load()
+    except UserError:
+        raise
     except FileNotFoundError as error:
         raise UserError(path, "does not exist", "check the path") from error
     except _Refused as error:
         raise UserError(path, str(error), REMEDY) from error
-    # A damaged pickle can fail in any operation of the machine that reads it.
-    except (OSError, EOFError, ArithmeticError, LookupError, TypeError, AttributeError, RecursionError) as error:
-        raise _damaged(path) from error
-    except (pickle.UnpicklingError, ValueError, MemoryError) as error:
-        if isinstance(error, UserError):
-            raise
-        raise _damaged(path) from error
-
-
-def _damaged(path: Path) -> UserError:
-    return UserError(path, "is damaged or not a pickle file", "download it again")
+    except Exception as error:  # a damaged pickle can fail in every operation of the machine that reads it
+        raise UserError(path, "is damaged or not a pickle file", "download it again") from error
 
 
 class _Refused(pickle.UnpicklingError):
@@ -113,6 +106,10 @@ def _latin1(text: str, _codec: str) -> bytes:
     return text.encode("latin1")
 
 
+def _empty_bytes() -> bytes:
+    return b""
+
+
 def _new_inert(cls: type, _base: type, _state: Any) -> Inert:
     """What ``copyreg._reconstructor`` does, for inert objects alone."""
     if not issubclass(cls, Inert):
@@ -131,7 +128,7 @@ _ALLOWED = {
     "builtins.object": object,
     "builtins.set": set,
     "builtins.frozenset": frozenset,
-    "builtins.bytearray": bytearray,
+    "builtins.bytes": _empty_bytes,  # protocols before 3 write only the empty ones this way
     "collections.OrderedDict": dict,
 }
 _RENAMED = {"copy_reg": "copyreg", "__builtin__": "builtins"}
