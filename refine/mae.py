@@ -83,6 +83,10 @@ class MAE(nn.Module):
         )
         self.decoder_norm = norm(config.decoder_width)
         self.decoder_pred = nn.Linear(config.decoder_width, config.patch**2 * config.channels)
+        for module in self.modules():
+            if isinstance(module, nn.Linear):  # as the official code; torch's own start lies on a plateau for long
+                nn.init.xavier_uniform_(module.weight)
+                nn.init.zeros_(module.bias)
         nn.init.normal_(self.cls_token, std=0.02)
         nn.init.normal_(self.mask_token, std=0.02)
 
@@ -117,7 +121,7 @@ class MAE(nn.Module):
         for block in self.blocks:
             x = block(x)
         x = self.decoder_embed(self.norm(x))
-        full = self.mask_token.expand(len(x), tokens, -1)
+        full = self.mask_token.to(x).expand(len(x), tokens, -1)
         full = full.scatter(1, visible[..., None].expand(-1, -1, x.shape[-1]), x[:, 1:])
         x = torch.cat([x[:, :1], full], dim=1) + self.decoder_pos_embed
         for block in self.decoder_blocks:

@@ -1,6 +1,6 @@
 """Whole runs as values: what `refine train` takes, and its presets."""
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
 
@@ -23,6 +23,8 @@ class MAETraining:
     network: MAEConfig = field(default_factory=MAEConfig)
     pictures: PictureConfig = field(default_factory=PictureConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of the network's products; bfloat16 is nearly twice as fast where the processor knows it."""
     batch: int = 64
     body_weight: float = 4.0
     """How many times a hidden patch counts that the body touches; most of a picture is background."""
@@ -58,13 +60,25 @@ class GeneratorTraining:
     """Go on with the run in ``out``."""
 
 
+MAE_LOOP = LoopConfig(
+    steps=20_000,
+    learning_rate=1e-3,
+    weight_decay=0.05,
+    betas=(0.9, 0.95),
+    warmup=500,
+    schedule="cosine",
+    clip_gradients=1.0,
+    log_every=10,
+    save_every=1000,
+)
+
 MAE_PRESETS: dict[str, tuple[str, MAETraining]] = {
     "tiny": (
         "A small network for trying things out: two minutes on one core.",
         MAETraining(
             data=DataConfig(synthetic_clips=6),
             network=MAEConfig(width=96, depth=3, decoder_width=64, decoder_depth=1, decoder_heads=2),
-            loop=LoopConfig(steps=600, learning_rate=1e-3, warmup=50, schedule="cosine", save_every=200),
+            loop=replace(MAE_LOOP, steps=1500, learning_rate=3e-3, warmup=50, log_every=1, save_every=300),
             batch=32,
             measured=256,
         ),
@@ -73,17 +87,8 @@ MAE_PRESETS: dict[str, tuple[str, MAETraining]] = {
         "The network that comes with the package: some hours on two cores.",
         MAETraining(
             data=DataConfig(synthetic_clips=60),
-            loop=LoopConfig(
-                steps=20_000,
-                learning_rate=6e-4,
-                weight_decay=0.05,
-                betas=(0.9, 0.95),
-                warmup=500,
-                schedule="cosine",
-                clip_gradients=1.0,
-                log_every=10,
-                save_every=1000,
-            ),
+            loop=MAE_LOOP,
+            precision="bfloat16",
         ),
     ),
     "paper": (
@@ -91,18 +96,10 @@ MAE_PRESETS: dict[str, tuple[str, MAETraining]] = {
         MAETraining(
             data=DataConfig(synthetic_clips=200),
             network=MAEConfig(size=112, width=256, depth=8, heads=4, decoder_width=128, decoder_depth=4),
-            loop=LoopConfig(
-                steps=200_000,
-                learning_rate=6e-4,
-                weight_decay=0.05,
-                betas=(0.9, 0.95),
-                warmup=2000,
-                schedule="cosine",
-                clip_gradients=1.0,
-                log_every=50,
-                save_every=5000,
-            ),
+            loop=replace(MAE_LOOP, steps=200_000, learning_rate=6e-4, warmup=2000, log_every=50, save_every=5000),
+            precision="bfloat16",
             batch=256,
+            device="cuda",
         ),
     ),
 }
@@ -126,6 +123,7 @@ GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
             loop=LoopConfig(steps=27_000, log_every=10, save_every=1000),
             batch=800,
             measured=800,
+            device="cuda",
         ),
     ),
 }

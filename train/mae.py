@@ -44,9 +44,16 @@ def train_mae(config: MAETraining) -> Path:
     )
     mean = draw(poses, 512, torch.Generator().manual_seed(1)).images.mean(0)
     held_out = draw(unseen, config.measured, torch.Generator().manual_seed(2))
+    half = torch.autocast(torch.device(config.device).type, torch.bfloat16, config.precision == "bfloat16")
+
+    def losses(_: int, random: torch.Generator) -> dict[str, Tensor]:
+        pictures = draw(poses, config.batch, random)
+        with half:
+            return mae_step(pictures, mae, config.body_weight)
+
     return fit(
         mae,
-        lambda _, random: mae_step(draw(poses, config.batch, random), mae, config.body_weight),
+        losses,
         config.loop,
         config.out,
         "mae",
@@ -71,7 +78,7 @@ def drawing(body: Body, config: MAETraining):
 
 @torch.no_grad()
 def measure(mae: MAE, pictures: Pictures, mean: Tensor, body_weight: float) -> dict[str, float]:
-    """The terms of ``mae_step`` on given pictures, and those of two inpainters that know nothing of bodies.
+    """The terms of ``mae_step`` on whole pictures, and those of two inpainters that know nothing of bodies.
 
     Args:
         mean: [C H W] the mean picture of the training poses.
@@ -80,8 +87,10 @@ def measure(mae: MAE, pictures: Pictures, mean: Tensor, body_weight: float) -> d
         ``total``, ``hidden``, ``body`` of the MAE, and ``hidden`` and ``body`` of the baselines, named ``mean_*``
         (every hidden patch as in the mean picture) and ``nearest_*`` (as the nearest visible patch).
     """
-    patch, images, kept = mae.config.patch, *pictures
-    found = [mae_step(Pictures(*part), mae, body_weight) for part in zip(images.split(64), kept.split(64), strict=True)]
+    images, kept, shown = pictures.images, pictures.kept, torch.ones_like(pictures.shown)
+    patch, hidden = mae.config.patch, ~kept[..., None].expand(-1, -1, images.shape[1])
+    parts = zip(images.split(64), kept.split(64), shown.split(64), strict=True)
+    found = [mae_step(Pictures(*part), mae, body_weight) for part in parts]
     sizes = torch.tensor([len(part) for part in images.split(64)], dtype=torch.float64)
     figures = {
         name: float((torch.tensor([float(terms[name]) for terms in found]).double() * sizes).sum() / sizes.sum())
@@ -91,8 +100,8 @@ def measure(mae: MAE, pictures: Pictures, mean: Tensor, body_weight: float) -> d
         ("mean", patchify(mean[None], patch).expand(len(images), -1, -1)),
         ("nearest", fill_from_nearest(patchify(images, patch), kept)),
     ):
-        errors, touched = masked_errors(filled, images, kept, patch)
-        figures[f"{name}_hidden"] = float(errors.sum() / (~kept).sum())
+        errors, touched = masked_errors(filled, images, hidden, patch)
+        figures[f"{name}_hidden"] = float(errors.sum() / hidden.sum())
         figures[f"{name}_body"] = float((errors * touched).sum() / touched.sum())
     return figures
 
