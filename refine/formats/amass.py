@@ -50,9 +50,7 @@ def read_amass(path: str | Path, rest_joints: Tensor) -> Motion:
         raise UserError(
             path, f"trans has shape {list(trans.shape)}, poses have {len(axis_angles)} frames", "mend the file"
         )
-    rate = next((float(arrays[key]) for key in RATE_KEYS if key in arrays and arrays[key].size == 1), math.nan)
-    if not 0 < rate < math.inf:
-        raise UserError(path, f"has no frame rate ({' or '.join(RATE_KEYS)})", "add one")
+    rate = _rate(path, arrays)
     check_finite(path, axis_angles, "frame joint coordinate", {"joint": JOINT_NAMES})
     check_finite(path, trans, "frame coordinate")
     rotations = axis_angle_to_matrix(torch.from_numpy(axis_angles))
@@ -86,6 +84,14 @@ def write_amass(path: str | Path, motion: Motion, rest_joints: Tensor) -> None:
         )
 
 
+def _rate(path: str | Path, arrays: dict[str, np.ndarray]) -> float:
+    for key in RATE_KEYS:
+        rate = arrays.get(key)
+        if rate is not None and rate.dtype.kind in "fiu" and rate.size == 1 and 0 < rate.item() < math.inf:
+            return float(rate.item())
+    raise UserError(path, f"has no frame rate ({' or '.join(RATE_KEYS)})", "add one")
+
+
 def _upright() -> Tensor:
     """The rotation [3 3] from the file's frame (z up) to ours (y up)."""
     return rotation_about("x", torch.tensor(-math.pi / 2, dtype=torch.float64))
@@ -97,16 +103,15 @@ def _axis_angles(path: str | Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
         poses = _numbers(path, arrays, "poses")
     else:
         root, body = (_numbers(path, arrays, key) for key in ("root_orient", "pose_body"))
-        if root.shape != (len(body), 3) or body.ndim != 2 or body.shape[1] < 3 * (BODY - 1):
-            raise UserError(
-                path, f"root_orient {list(root.shape)} and pose_body {list(body.shape)} do not fit", "mend it"
-            )
+        if body.ndim != 2 or body.shape[1] < 3 * (BODY - 1) or root.shape != (len(body), 3):
+            problem = f"root_orient {list(root.shape)} and pose_body {list(body.shape)} do not fit"
+            raise UserError(path, problem, "give frames by 3 and frames by 63")
         hands = np.zeros((len(body), 6))
         poses = np.concatenate([root, body[:, : 3 * (BODY - 1)], hands], axis=1)
     if poses.ndim != 2 or poses.shape[1] not in FINGERS:
         known = ", ".join(map(str, FINGERS))
         raise UserError(path, f"poses have shape {list(poses.shape)}", f"give frames by one of {known}")
-    joints = poses.reshape(len(poses), -1, 3)
+    joints = poses.reshape(len(poses), poses.shape[1] // 3, 3)
     left, right = (fingers[min(1, len(fingers) - 1)] for fingers in FINGERS[poses.shape[1]])
     return joints[:, [*range(BODY), left, right]]
 

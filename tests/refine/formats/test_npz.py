@@ -1,0 +1,95 @@
+"""Reading .npz safely: claims are checked before memory is taken, and nothing is unpickled."""
+
+import io
+import zipfile
+
+import numpy as np
+import pytest
+
+from refine.formats.npz import read_npz
+from renderers.checks import UserError
+
+
+def header(shape: str, dtype: str = "<f8") -> bytes:
+    """A .npy header that claims what it likes."""
+    text = f"{{'descr': '{dtype}', 'fortran_order': False, 'shape': {shape}, }}".encode()
+    return b"\x93NUMPY\x01\x00" + len(text).to_bytes(2, "little") + text
+
+
+def packed(path, **members: bytes):
+    with zipfile.ZipFile(path, "w") as archive:
+        for name, content in members.items():
+            archive.writestr(f"{name}.npy", content)
+    return path
+
+
+def test_reads_what_numpy_wrote(tmp_path):
+    arrays = {
+        "c": np.arange(6.0).reshape(2, 3),
+        "fortran": np.asfortranarray(np.arange(6).reshape(2, 3)),
+        "text": np.array(["walk", "wave"]),
+        "scalar": np.array(30.0),
+        "none": np.zeros((0, 3), dtype=np.float32),
+    }
+    np.savez_compressed(tmp_path / "a.npz", **arrays)
+    back = read_npz(tmp_path / "a.npz")
+    assert back.keys() == arrays.keys()
+    for name, array in arrays.items():
+        assert back[name].dtype == array.dtype
+        np.testing.assert_array_equal(back[name], array)
+    back["c"][0, 0] = 7  # writable
+
+
+def test_only_the_keys_asked_for_are_opened(tmp_path):
+    np.savez(tmp_path / "a.npz", good=np.ones(2), bad=np.array([object()]))
+    assert list(read_npz(tmp_path / "a.npz", ("good", "absent"))) == ["good"]
+
+
+def test_objects_are_refused_and_never_run(tmp_path):
+    class Evil:
+        def __reduce__(self):
+            return open, (str(tmp_path / "run"), "w")
+
+    stream = io.BytesIO()
+    np.lib.format.write_array(stream, np.array([Evil()]), allow_pickle=True)
+    path = packed(tmp_path / "evil.npz", poses=stream.getvalue())
+    with pytest.raises(UserError, match=r"evil.npz, array 'poses': holds Python objects, which are never loaded"):
+        read_npz(path)
+    assert not (tmp_path / "run").exists()
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        (header("(1000000000000,)") + b"\0" * 64, r"claims shape \[1000000000000\] of float64"),
+        (header("(3,)") + b"\0" * 16, r"claims shape \[3\]"),
+        (header("(-1, -8)") + b"\0" * 64, "claims shape"),
+        (header("(3,)", "|O") + b"\0" * 24, "holds Python objects"),
+        (b"not numpy at all", "is not a NumPy array"),
+        (b"\x93NUMPY\x09\x00", "is not a NumPy array"),
+        (header("(__import__('os').getpid(),)"), "is not a NumPy array"),
+    ],
+)
+def test_false_headers_are_refused(tmp_path, content, message):
+    with pytest.raises(UserError, match=message):
+        read_npz(packed(tmp_path / "a.npz", x=content))
+
+
+def test_a_bomb_is_refused_before_it_is_unpacked(tmp_path):
+    np.savez_compressed(tmp_path / "bomb.npz", x=np.zeros(1_000_000))
+    assert (tmp_path / "bomb.npz").stat().st_size < 20_000
+    with pytest.raises(UserError, match=r"unpacks to 8000128 bytes, more than the 1000000 allowed"):
+        read_npz(tmp_path / "bomb.npz", max_bytes=1_000_000)
+
+
+def test_damage_is_one_line(tmp_path):
+    np.savez(tmp_path / "a.npz", x=np.arange(1000.0))
+    whole = (tmp_path / "a.npz").read_bytes()
+    flipped = whole[:500] + bytes([whole[500] ^ 255]) + whole[501:]
+    for content in (b"", b"PK\x03\x04", whole[:900], flipped):
+        (tmp_path / "b.npz").write_bytes(content)
+        with pytest.raises(UserError, match=r"b.npz: is damaged or not an .npz file") as caught:
+            read_npz(tmp_path / "b.npz")
+        assert "\n" not in str(caught.value)
+    with pytest.raises(UserError, match=r"none.npz: does not exist"):
+        read_npz(tmp_path / "none.npz")
