@@ -73,6 +73,7 @@ class Gait:
         stride: ground covered by two steps.
         stance: share of a stride that a foot is on the floor.
         lead: how far the pelvis is ahead of the middle of a stance.
+        lateness: above 1, a foot in the air moves on late, so that the leg is not stretched long before it lands.
         foot_times, foot_pitch, foot_lift: the roll and rise of a foot through its cycle, which starts at its landing.
         bob: rise and fall of the pelvis; positive, highest over the standing leg.
         crouch: how much lower than standing.
@@ -83,6 +84,7 @@ class Gait:
     stride: float
     stance: float
     lead: float
+    lateness: float
     foot_times: tuple[float, ...]
     foot_pitch: tuple[float, ...]
     foot_lift: tuple[float, ...]
@@ -96,25 +98,27 @@ class Gait:
 WALK = Gait(
     stride=1.55,
     stance=0.62,
-    lead=0.07,
-    foot_times=(0.0, 0.09, 0.36, 0.62, 0.67, 0.81, 0.93),
-    foot_pitch=tuple(map(radians, (-17, 0, 0, 34, 38, 4, -17))),
-    foot_lift=(0.0, 0.0, 0.0, 0.0, 0.02, 0.085, 0.04),
-    bob=0.018,
-    crouch=0.025,
+    lead=0.09,
+    lateness=1.0,
+    foot_times=(0.0, 0.09, 0.33, 0.62, 0.67, 0.76, 0.93),
+    foot_pitch=tuple(map(radians, (-17, 0, 0, 52, 54, 20, -17))),
+    foot_lift=(0.0, 0.0, 0.0, 0.0, 0.04, 0.095, 0.025),
+    bob=0.030,
+    crouch=0.037,
     lean=radians(2),
     arm_swing=radians(24),
     elbow=radians(12),
 )
 RUN = Gait(
-    stride=2.75,
-    stance=0.34,
-    lead=0.12,
-    foot_times=(0.0, 0.06, 0.15, 0.34, 0.42, 0.62, 0.85),
-    foot_pitch=tuple(map(radians, (-6, 0, 0, 42, 52, 35, -8))),
+    stride=2.6,
+    stance=0.33,
+    lead=0.15,
+    lateness=1.3,
+    foot_times=(0.0, 0.06, 0.12, 0.33, 0.42, 0.62, 0.86),
+    foot_pitch=tuple(map(radians, (-6, 0, 0, 54, 58, 35, -8))),
     foot_lift=(0.0, 0.0, 0.0, 0.0, 0.14, 0.42, 0.14),
-    bob=-0.035,
-    crouch=0.045,
+    bob=-0.032,
+    crouch=0.068,
     lean=radians(8),
     arm_swing=radians(42),
     elbow=radians(75),
@@ -132,7 +136,8 @@ def run(beat: Beat) -> Gesture:
 def _go(beat: Beat, gait: Gait) -> Gesture:
     """Walking or running ahead: each foot stays where it landed while the pelvis passes over it."""
     style, cycle = beat.draw.style, beat.cycle
-    stride = gait.stride * beat.draw.amplitude
+    longer = 0.4 + 0.6 * beat.draw.amplitude
+    stride = gait.stride * longer
     swing = gait.arm_swing * (1 + style.arm_swing) * beat.swell
     yaw = radians(5) * (1 + style.twist)
     over_left = wave(cycle - gait.stance / 2)  # 1 when the left leg carries the body
@@ -143,7 +148,7 @@ def _go(beat: Beat, gait: Gait) -> Gesture:
         right_arm=_swinging_arm(wave(cycle), swing, gait.elbow),
         pelvis=Pelvis(
             x=0.022 * over_left,
-            y=gait.bob * wave(2 * cycle - gait.stance) - gait.crouch,
+            y=longer**2 * (gait.bob * wave(2 * cycle - gait.stance) - gait.crouch),
             z=stride * (cycle - beat.draw.phase),
             lean=0.4 * gait.lean,
             turn=-yaw * wave(cycle),
@@ -166,7 +171,8 @@ def _swinging_arm(ahead: Tensor, swing: Tensor, elbow: float) -> Arm:
 def _stepping_foot(cycle: Tensor, delay: float, stride: float, gait: Gait, beat: Beat) -> Foot:
     own = cycle + delay
     landed = own.floor() - delay + gait.stance / 2 - beat.draw.phase
-    onward = eased((own - own.floor() - gait.stance) / (1 - gait.stance))
+    swung = ((own - own.floor() - gait.stance) / (1 - gait.stance)).clamp(min=0)
+    onward = eased(swung**gait.lateness)
     return Foot(
         aside=-0.035 - 0.5 * beat.draw.style.feet_apart,
         lift=keyed(own, gait.foot_times, gait.foot_lift),
@@ -196,9 +202,9 @@ def _knee_lifts(beat: Beat) -> dict[str, Pelvis | Foot]:
     feet = {}
     for side, own in (("left", beat.cycle), ("right", beat.cycle + 0.5)):
         size = beat.size(own)
-        angle = radians(44 + 4 * beat.draw.style.reach) * size * held(own, (0.03, 0.20, 0.25, 0.45))
-        ahead, lift = leg_swing(angle, 1 - 0.34 * size * held(own, (0.0, 0.18, 0.25, 0.45)))
-        feet[f"{side}_foot"] = Foot(lift=lift, ahead=ahead, pitch=radians(26) * held(own, (0.0, 0.1, 0.3, 0.43)))
+        angle = radians(44 + 4 * beat.draw.style.reach) * size * held(own, (0.04, 0.23, 0.26, 0.45))
+        ahead, lift = leg_swing(angle, 1 - 0.34 * size * held(own, (0.0, 0.21, 0.27, 0.49)))
+        feet[f"{side}_foot"] = Foot(lift=lift, ahead=ahead, pitch=radians(26) * held(own, (0.02, 0.12, 0.28, 0.42)))
     left_up = wave(beat.cycle - 0.18)
     return {"pelvis": Pelvis(x=-0.055 * left_up, lean=-0.02, tilt=0.05 * left_up), **feet}
 
@@ -220,9 +226,9 @@ def lunge_left(beat: Beat) -> Gesture:
             tilt=-0.04 * over,
         ),
         left_foot=Foot(
-            aside=step * held(cycle, (0.05, 0.27, 0.56, 0.80)),
-            lift=keyed(cycle, (0.03, 0.15, 0.27, 0.54, 0.68, 0.80), (0.0, 0.12, 0.0, 0.0, 0.09, 0.0)),
-            out=radians(22) * held(cycle, (0.05, 0.27, 0.56, 0.80)),
+            aside=step * held(cycle, (0.06, 0.26, 0.57, 0.79)),
+            lift=keyed(cycle, (0.03, 0.15, 0.28, 0.54, 0.67, 0.81), (0.0, 0.12, 0.0, 0.0, 0.09, 0.0)),
+            out=radians(22) * held(cycle, (0.06, 0.26, 0.57, 0.79)),
         ),
     )
 
@@ -240,8 +246,8 @@ def _forward_lunge(beat: Beat, own: Tensor, front: str, rear: str, side: float) 
     over = held(own, (0.04, 0.18, 0.25, 0.42))
     unload = keyed(own, (0.0, 0.05, 0.13, 0.90, 0.96), (0.0, 1.0, 0.0, 0.0, 0.0))
     stepping = Foot(
-        ahead=step * held(own, (0.03, 0.15, 0.29, 0.42)),
-        lift=keyed(own, (0.02, 0.09, 0.15, 0.28, 0.35, 0.42), (0.0, 0.12, 0.0, 0.0, 0.10, 0.0)),
+        ahead=step * held(own, (0.035, 0.14, 0.295, 0.41)),
+        lift=keyed(own, (0.02, 0.08, 0.15, 0.28, 0.35, 0.42), (0.0, 0.12, 0.0, 0.0, 0.10, 0.0)),
         pitch=radians(12)
         * keyed(own, (0.02, 0.07, 0.12, 0.15, 0.28, 0.33, 0.42), (0.0, 1.0, -1.0, 0.0, 0.0, 1.0, 0.0)),
     )
@@ -257,8 +263,8 @@ def kick_left(beat: Beat) -> Gesture:
     """The left knee is drawn up, the leg snaps forward and comes back slowly; the body leans over the right leg."""
     cycle, size = beat.cycle, beat.size(beat.cycle)
     highest = radians(72 + 8 * beat.draw.style.reach) * size
-    angle = highest * keyed(cycle, (0.10, 0.26, 0.36, 0.40, 0.52, 0.70), (0.0, 0.55, 1.0, 1.0, 0.6, 0.0))
-    reach = keyed(cycle, (0.06, 0.24, 0.36, 0.40, 0.52, 0.70), (1.0, 0.70, 0.985, 0.985, 0.72, 1.0))
+    angle = highest * keyed(cycle, (0.10, 0.26, 0.37, 0.40, 0.52, 0.68), (0.0, 0.55, 1.0, 1.0, 0.6, 0.0))
+    reach = keyed(cycle, (0.04, 0.24, 0.37, 0.40, 0.52, 0.73), (1.0, 0.70, 1.01, 1.01, 0.72, 1.0))
     ahead, lift = leg_swing(angle, reach)
     up, strike = held(cycle, (0.05, 0.24, 0.42, 0.72)), held(cycle, (0.24, 0.36, 0.40, 0.55))
     return stand(beat) + Gesture(
@@ -319,7 +325,7 @@ def _punches(beat: Beat, left: Tensor, right: Tensor) -> dict[str, Torso | Arm]:
 
 
 def _strike(own: Tensor) -> Tensor:
-    return keyed(own, (0.0, 0.07, 0.19, 0.23, 0.47), (0.0, -0.10, 1.0, 1.0, 0.0))
+    return keyed(own, (0.0, 0.06, 0.24, 0.28, 0.52), (0.0, -0.10, 1.0, 1.0, 0.0))
 
 
 def _punching_arm(beat: Beat, extended: Tensor) -> Arm:
@@ -341,9 +347,9 @@ def circle_elbows(beat: Beat) -> Gesture:
     arm = Arm(
         forward=raised * torch.cos(plane),
         sideways=raised * torch.sin(plane),
-        inward=radians(-35) - 0.4 * plane,
+        inward=radians(-40) - 0.5 * plane,
         bend=radians(130) + 0.08 * radius * torch.sin(2 * pi * cycle),
-        wrist=radians(45),
+        wrist=radians(40),
     )
     return stand(beat) + Gesture(torso=Torso(lean=-0.03 * torch.sin(2 * pi * cycle)), **both_arms(arm))
 
@@ -363,7 +369,7 @@ def rotate_standing(beat: Beat) -> Gesture:
     arm = Arm(
         forward=radians(42 + 12 * style.plane),
         sideways=radians(52 + 10 * style.plane),
-        inward=radians(-12),
+        inward=radians(8),
         bend=radians(84 + 12 * style.reach),
     )
     trail = {
@@ -438,13 +444,13 @@ def drink(beat: Beat) -> Gesture:
 
 ACTIONS: dict[str, Action] = {
     "stand": Action(stand, (), (0.2, 0.3)),
-    "marking-time-and-knee-lifting": Action(mark_time, LEGS, (0.65, 0.95)),
-    "punching-and-knee-lifting": Action(punch_and_lift, (*LEGS, *ARMS), (0.55, 0.85)),
+    "marking-time-and-knee-lifting": Action(mark_time, LEGS, (0.55, 0.82)),
+    "punching-and-knee-lifting": Action(punch_and_lift, (*LEGS, *ARMS), (0.50, 0.75)),
     "left-lunging": Action(lunge_left, LEGS, (0.32, 0.48)),
     "left-kicking": Action(kick_left, LEGS, (0.45, 0.65)),
     "forward-lunging": Action(lunge_forward, LEGS, (0.20, 0.29)),
     "pulling-chest-expanders": Action(pull_chest_expander, ARMS, (0.40, 0.65)),
-    "punching": Action(punch, ARMS, (0.70, 1.15)),
+    "punching": Action(punch, ARMS, (0.65, 1.05)),
     "elbow-circling": Action(circle_elbows, ARMS, (0.50, 0.85)),
     "shoulder-abduction": Action(abduct_shoulders, ARMS, (0.35, 0.55)),
     "standing-rotation": Action(rotate_standing, ("torso", *ARMS), (0.28, 0.45)),

@@ -84,8 +84,8 @@ class Pelvis(Deviation):
 class Foot(Deviation):
     """One foot in the world: where it treads (``aside`` outward, ``ahead``), how high, how turned.
 
-    ``pitch`` rolls it over the ball (positive, heel up) or over the heel (negative, toes up), ``out`` turns the toes out.
-    A foot with ``lift`` 0 touches the floor whatever its pitch.
+    ``pitch`` rolls it over the ball (positive, heel up) or over the heel (negative), ``out`` turns the toes out. A foot
+    with ``lift`` 0 touches the floor whatever its pitch.
     """
 
     aside: Curve = 0.0

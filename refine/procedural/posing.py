@@ -10,7 +10,7 @@ from refine.procedural.gesture import Deviation, Gesture
 from renderers.rotations import axis_angle_to_matrix, rotation_about
 from renderers.skeleton import JOINTS
 
-# The standing posture: the T-pose's arms lowered to this angle from the trunk, palms a little inward, soft elbows and knees.
+# The standing posture: the T-pose's arms lowered to this angle from the trunk, palms a little inward, joints soft.
 ARM_FROM_TRUNK, PALM_INWARD, ELBOW, FINGERS, COLLAR_DROP = (
     radians(11),
     radians(15),
@@ -26,9 +26,10 @@ KNEE_MAX = radians(150)
 ARM_RAISE_MAX, ARM_INWARD_MAX, WRIST_MAX = radians(172), radians(95), radians(65)
 SPINE_MAX, HEAD_MAX, PELVIS_MAX, FOOT_PITCH_MAX = radians(70), radians(65), radians(45), radians(60)
 
-STRAIGHTEST = 0.998  # of the leg's length, so that a knee never locks
+STRAIGHTEST = 0.993  # of the leg's length for a leg on the floor, so that its knee never locks
+SNUG = 0.006  # leg lengths in which a lifted leg nears full length: a knee that met it at speed would snap
 LOWEST = 0.45  # the least height of the hips above standing ankles, leg lengths
-SOFTNESS = 0.008  # leg lengths over which one limit of the pelvis height hands over to the next
+SOFTNESS = 0.012  # leg lengths over which one limit of the pelvis height hands over to the next
 
 SIDES = ("left", "right")
 
@@ -55,7 +56,7 @@ def _pose_torso(rotations: Tensor, gesture: Gesture) -> None:
 
 
 def _pose_arms(rotations: Tensor, gesture: Gesture) -> None:
-    """Collar, shoulder, elbow, wrist and hand of both arms; the chest's frame is the reference, so arms follow the trunk."""
+    """Collar, shoulder, elbow, wrist and hand of both arms, relative to the chest, so that arms follow the trunk."""
     arm = _curves(rotations, gesture.left_arm, gesture.right_arm)
     side = rotations.new_tensor([1.0, -1.0]).expand_as(arm["bend"])
     none = torch.zeros_like(side)
@@ -96,7 +97,7 @@ def _pose_legs(rotations: Tensor, gesture: Gesture, rest_joints: Tensor) -> Tens
     root = _sink(wish, from_pelvis, target, foot["lift"], leg)
     to_foot = target - (root[:, None] + from_pelvis)
 
-    flexion = _knee_flexion(to_foot.norm(dim=-1), thigh, shank)
+    flexion = _knee_flexion(_within_reach(to_foot.norm(dim=-1), leg), thigh, shank)
     knee_local = rotation_about("x", flexion)
     folded = thigh + (knee_local @ shank[..., None])[..., 0]
     facing = rotation_about("y", (yaw + pelvis["turn"][:, None]) / 2)[..., 0]
@@ -131,12 +132,18 @@ def _sink(wish: Tensor, from_pelvis: Tensor, target: Tensor, lift: Tensor, leg: 
     away = (wish[:, None] + from_pelvis - target)[..., [0, 2]].square().sum(-1)
     reach = (STRAIGHTEST * leg) ** 2
     # A lifted foot does not hold the pelvis down.
-    highest = target[..., 1] + (reach - away).clamp(min=0.05 * reach).sqrt() - from_pelvis[..., 1] + 4 * leg * lift
+    highest = target[..., 1] + (reach - away).clamp(min=0.05 * reach).sqrt() - from_pelvis[..., 1] + 2 * leg * lift
     softness = SOFTNESS * leg
     limits = torch.cat([wish[:, 1:2], highest], dim=-1)
     height = -softness * torch.logsumexp(-limits / softness, dim=-1)
     lowest = (target[..., 1] - leg * lift).mean(-1) + LOWEST * leg - from_pelvis[..., 1].mean(-1)
     return torch.stack([wish[:, 0], torch.maximum(height, lowest), wish[:, 2]], dim=-1)
+
+
+def _within_reach(distance: Tensor, leg: Tensor) -> Tensor:
+    """Hip to ankle [T 2], unchanged up to ``STRAIGHTEST`` and from there smoothly below the leg's full length."""
+    beyond = (distance / leg - STRAIGHTEST).clamp(min=0)
+    return torch.minimum(distance, leg * STRAIGHTEST) + leg * SNUG * -torch.expm1(-beyond / SNUG)
 
 
 def _knee_flexion(distance: Tensor, thigh: Tensor, shank: Tensor) -> Tensor:
