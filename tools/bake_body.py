@@ -267,7 +267,7 @@ def fold(template: np.ndarray, faces: np.ndarray) -> tuple[np.ndarray, np.ndarra
 
 
 def floor_below(bodies: np.ndarray, joints: np.ndarray) -> np.ndarray:
-    """The origin [S 1 3] of each body: soles on y = 0, ankles as far back as the neutral body's, its pelvis at z = 0."""
+    """The origin [S 1 3] of each body: soles on y = 0; ankles where the neutral body's are, its pelvis at z = 0."""
     lowest = bodies[0, :, 1].min()
     soles = bodies[0, :, 1] < lowest + 0.005
     height = bodies[:, soles, 1].mean(axis=1) - bodies[0, soles, 1].mean() + lowest
