@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import torch
@@ -20,17 +20,27 @@ Style = Literal["shaded", "parts", "silhouette"]
 YAW, ELEVATION = 28.0, 14.0  # degrees; a little from the left and from above, so that depth is seen
 
 
-def draw(vertices: Tensor, body: Body, camera: Camera, style: Style = "shaded") -> Tensor:
-    """Vertices [N V 3], of one body or of several side by side, as pictures [N 3 H W] in 0..1."""
-    copies = vertices.shape[1] // len(body.rest_vertices)
-    offsets = torch.arange(copies)[:, None, None] * len(body.rest_vertices)
-    faces = (body.faces.cpu() + offsets).reshape(-1, 3)
-    parts = body.face_parts.cpu().repeat(copies)
-    if style == "shaded":
-        return shade(vertices, faces, part_colours(faces, parts, vertices.shape[1]), camera)
-    mesh = Mesh.build(faces, parts if style == "parts" else None)
-    with torch.no_grad():
-        return torch.stack([part_picture(image) for image in silhouette(vertices, mesh, camera)])
+@dataclass(frozen=True)
+class Painter:
+    """Draws vertices [N V 3], of one body or of several side by side, as pictures [N 3 H W] in 0..1."""
+
+    style: Style
+    mesh: Mesh
+    colours: Tensor  # [V 3]
+
+    @classmethod
+    def of(cls, body: Body, style: Style = "shaded", copies: int = 1) -> "Painter":
+        count = len(body.rest_vertices)
+        faces = (body.faces.cpu() + count * torch.arange(copies)[:, None, None]).reshape(-1, 3)
+        parts = body.face_parts.cpu().repeat(copies)
+        mesh = Mesh.build(faces, parts if style == "parts" else None)
+        return cls(style, mesh, part_colours(faces, parts, count * copies))
+
+    def __call__(self, vertices: Tensor, camera: Camera) -> Tensor:
+        if self.style == "shaded":
+            return shade(vertices, self.mesh.faces, self.colours, camera)
+        with torch.no_grad():
+            return torch.stack([part_picture(image) for image in silhouette(vertices, self.mesh, camera)])
 
 
 def strip(
@@ -59,7 +69,7 @@ def strip(
     points = torch.cat([row.reshape(-1, 3) for row in spread])
     width = round(height * (_width(points[None], aside) + 0.2) / (float(points[:, 1].amax()) + 0.35))
     camera = frame(points, (height, width), yaw=turn, elevation=math.radians(ELEVATION), margin=0.04)
-    return [draw(row.reshape(1, -1, 3), body, camera, style)[0] for row in spread]
+    return [Painter.of(body, style, len(row))(row.reshape(1, -1, 3), camera)[0] for row in spread]
 
 
 def film(
@@ -83,10 +93,10 @@ def film(
     paths = [smoothed(m.root, m.fps)[at] * torch.tensor([1.0, 0.0, 1.0]) for m, at in zip(turned, shown, strict=True)]
     points = torch.cat([(v - path[:, None]).reshape(-1, 3) for v, path in zip(posed, paths, strict=True)])
     still = frame(points, size, yaw=math.radians(yaw), elevation=math.radians(ELEVATION), margin=0.06)
-    pictures = []
+    paint, pictures = Painter.of(body, style), []
     for k in range(moments):
         cameras = [following(still, path[k]) for path in paths]
-        pictures.append([draw(v[k : k + 1], body, camera, style)[0] for v, camera in zip(posed, cameras, strict=True)])
+        pictures.append([paint(v[k : k + 1], camera)[0] for v, camera in zip(posed, cameras, strict=True)])
         progress()
     return pictures
 

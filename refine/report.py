@@ -73,7 +73,7 @@ def losses(trace: Trace) -> dict[str, float]:
     return {"total": of_i + of_j, "i": of_i, "j": of_j}
 
 
-def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "", side: int = 160) -> Tensor:
+def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "", side: int = 192) -> Tensor:
     """Every stage of the loss for picture ``index`` of a trace: one row a sub-action, one column a stage [3 H W]."""
     composed = trace.composed.pictures[index]
     factor = max(1, side // composed.shape[-1])

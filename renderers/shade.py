@@ -14,6 +14,8 @@ from renderers.camera import Camera
 from renderers.checks import check_shapes
 from renderers.palette import BACKGROUND, PARTS, rgb
 
+FINER = 2  # pixels of the body's picture to one of the result, along each side
+
 
 @dataclass(frozen=True)
 class Light:
@@ -54,24 +56,25 @@ def shade(
     """
     check_shapes("shade", vertices=(vertices, "N V 3"), faces=(faces, "F 3"), colours=(colours, "V 3"))
     light = light or Light()
-    vertices, faces = vertices.detach().cpu().float(), faces.cpu()
+    vertices, faces, colours = vertices.detach().cpu().float(), faces.cpu(), colours.cpu().float()
     normals = _vertex_normals(vertices, faces)
     rotation, translation = camera.rotation.detach().cpu().float(), camera.translation.detach().cpu().float()
     depth = (vertices @ rotation.mT + translation[:, None])[..., 2]
-    points = camera.project(vertices).detach() * 2  # supersampled 2 x 2
-    size = (camera.size[0] * 2, camera.size[1] * 2)
+    points = camera.project(vertices).detach() * FINER
+    fine = (camera.size[0] * FINER, camera.size[1] * FINER)
 
     pictures = []
     for index, body in enumerate(vertices):
-        view = index if len(rotation) > 1 else 0
-        canvas = _floor(body, faces, camera, view, size, light) if floor else _plain(size)
-        seen, weights = _nearest_faces(points[index].numpy(), depth[index].numpy(), faces.numpy(), size)
-        corners = faces.numpy()[seen[seen >= 0]]
-        mix = weights[seen >= 0][..., None]
-        normal = normalize(torch.from_numpy((normals[index].numpy()[corners] * mix).sum(1)) @ rotation[view].T, dim=-1)
-        albedo = torch.from_numpy((colours.cpu().float().numpy()[corners] * mix).sum(1))
-        canvas[torch.from_numpy(seen >= 0)] = _lit(albedo, normal, light)
-        pictures.append(avg_pool2d(canvas.permute(2, 0, 1), 2))
+        view = index if len(camera) > 1 else 0
+        background = _floor(body, faces, camera, view, light) if floor else _plain(camera.size)
+        seen, weights = _nearest_faces(points[index].numpy(), depth[index].numpy(), faces.numpy(), fine)
+        hit = torch.from_numpy(seen >= 0)
+        corners, mix = faces[torch.from_numpy(seen)[hit]], torch.from_numpy(weights)[hit][..., None]
+        normal = normalize((normals[index][corners] * mix).sum(1) @ rotation[view].T, dim=-1)
+        painted = torch.zeros(*fine, 4)
+        painted[hit] = torch.cat([_lit((colours[corners] * mix).sum(1), normal, light), torch.ones(len(normal), 1)], 1)
+        coarse = avg_pool2d(painted.permute(2, 0, 1), FINER)
+        pictures.append(coarse[:3] + (1 - coarse[3]) * background.permute(2, 0, 1))
     return torch.stack(pictures)
 
 
@@ -132,11 +135,11 @@ def _plain(size: tuple[int, int]) -> Tensor:
     return torch.tensor(rgb(BACKGROUND)).expand(*size, 3).clone()
 
 
-def _floor(body: Tensor, faces: Tensor, camera: Camera, view: int, size: tuple[int, int], light: Light) -> Tensor:
+def _floor(body: Tensor, faces: Tensor, camera: Camera, view: int, light: Light) -> Tensor:
     """Background [H W 3] with the floor's grid and the body's shadow, both fading out around the body."""
-    canvas = _plain(size)
+    canvas = _plain(camera.size)
     low, high = body[:, [0, 2]].amin(0), body[:, [0, 2]].amax(0)
-    ground = _floor_points(camera, view, (low + high) / 2, size)
+    ground = _floor_points(camera, view, (low + high) / 2)
     if ground is None:
         return canvas
     outside = (torch.maximum(low - ground, ground - high)).clamp(min=0).norm(dim=-1)
@@ -148,36 +151,25 @@ def _floor(body: Tensor, faces: Tensor, camera: Camera, view: int, size: tuple[i
     return canvas * (1 - (line * fade) - shadow * fade)[..., None].clamp(0, 1)
 
 
-def _floor_points(camera: Camera, view: int, centre: Tensor, size: tuple[int, int]) -> Tensor | None:
-    """Floor coordinates (x, z) [H W 2] seen at each pixel centre, infinity above the horizon; None when edge-on.
+def _floor_points(camera: Camera, view: int, centre: Tensor) -> Tensor | None:
+    """Floor coordinates (x, z) [H W 2] seen at each pixel centre, far away above the horizon; None when edge-on.
 
     The floor maps to the picture by a homography for either kind of camera, so four of its points are enough.
     """
-    square = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]])
-    on_floor = torch.stack([square[:, 0] + centre[0], torch.zeros(4), square[:, 1] + centre[1]], dim=-1)
-    views = len(camera.rotation)
-    pixels = (camera.project(on_floor.expand(views, 4, 3))[view].detach().cpu() * 2).double()
-    x, y = pixels.T
-    u, v = square.double().T
-    zero, one = torch.zeros_like(x), torch.ones_like(x)
-    system = torch.cat(
-        [
-            torch.stack([x, y, one, zero, zero, zero, -u * x, -u * y], dim=1),
-            torch.stack([zero, zero, zero, x, y, one, -v * x, -v * y], dim=1),
-        ]
-    )
+    import cv2
+
+    square = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) + centre
+    on_floor = torch.stack([square[:, 0], torch.zeros(4), square[:, 1]], dim=-1)
+    pixels = camera.project(on_floor.expand(len(camera), 4, 3))[view].detach().cpu()
     across, along = pixels[1] - pixels[0], pixels[3] - pixels[0]
-    if (across[0] * along[1] - across[1] * along[0]).abs() < 1e-4 * size[0] * size[1]:
+    height, width = camera.size
+    if (across[0] * along[1] - across[1] * along[0]).abs() < 1e-4 * height * width:
         return None
-    homography = torch.cat([torch.linalg.solve(system, torch.cat([u, v])), torch.ones(1, dtype=torch.double)])
-    rows, columns = torch.meshgrid(
-        torch.arange(size[0], dtype=torch.double) + 0.5, torch.arange(size[1], dtype=torch.double) + 0.5, indexing="ij"
-    )
-    image = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1) @ homography.reshape(3, 3).T
-    w = image[..., 2:]
-    facing = w * (torch.cat([pixels.mean(0), one[:1]]) @ homography.reshape(3, 3)[2]).sign()
-    points = torch.where(facing > 1e-9, image[..., :2] / w, torch.inf)
-    return (points + centre.double()).float()
+    to_floor = torch.from_numpy(cv2.getPerspectiveTransform(pixels.numpy(), square.numpy())).float()
+    rows, columns = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
+    points = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1) @ to_floor.T
+    side = torch.cat([pixels.mean(0), torch.ones(1)]) @ to_floor[2]
+    return torch.where(points[..., 2:] * side.sign() > 1e-9, points[..., :2] / points[..., 2:], 1e4)
 
 
 def _shadow(body: Tensor, faces: Tensor, ground: Tensor, low: Tensor, high: Tensor, light: Light) -> Tensor:
@@ -198,5 +190,5 @@ def _shadow(body: Tensor, faces: Tensor, ground: Tensor, low: Tensor, high: Tens
     density = conv2d(density, kernel.reshape(1, 1, -1, 1), padding=(reach, 0))
     density = conv2d(density, kernel.reshape(1, 1, 1, -1), padding=(0, reach))
     grid = ((ground - low + border) / (texel * size)) * 2 - 1
-    sampled = torch.nn.functional.grid_sample(density, grid.nan_to_num(9.0, 9.0, -9.0)[None], align_corners=False)
+    sampled = torch.nn.functional.grid_sample(density, grid[None], align_corners=False)
     return 1 - torch.exp(-1.5 * sampled[0, 0])

@@ -24,6 +24,8 @@ class Demo:
     """Length of the motions."""
     steps: int = 60
     """Refinement steps."""
+    mae: Path | None = None
+    """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
     force: bool = False
     """Replace the folder if something is in it."""
     seed: int = 0
@@ -54,7 +56,7 @@ class Demo:
         random, frames = torch.Generator().manual_seed(self.seed), round(self.seconds * FPS)
         draws = [draw(name, random, FPS) for name in self.actions]
         i, j = (perform(drawn, frames, body.rest_joints) for drawn in draws)
-        decoupler = judge_of(body)
+        decoupler = judge_of(body, self.mae)
         with bar(self.steps, "refine") as progress:
             refinement = RefinementConfig(steps=self.steps, seed=self.seed)
             composition = compose(i, j, decoupler, refinement=refinement, progress=progress)
