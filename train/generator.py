@@ -12,7 +12,7 @@ from renderers.checks import UserError
 from train.checkpoints import hash_motions, provenance, read_weights
 from train.config import GeneratorTraining
 from train.data import Pairs, draw_pairs, group, load_clips_for, pair_labels, split
-from train.loop import fit, open_run, seed_of
+from train.loop import check_device, fit, open_run, seed_of
 from train.steps import generator_step
 
 SIZES = {"tiny": GeneratorConfig.tiny, "paper": GeneratorConfig.paper}
@@ -24,6 +24,7 @@ def train_generator(config: GeneratorTraining) -> Path:
     Raises:
         UserError: see ``open_run``, ``load_clips_for``, ``load_mae`` and ``fit``.
     """
+    check_device(config.device)
     body = Body.free("light").to(config.device)
     motions = load_clips_for(config.data, body.rest_joints.cpu())
     train, test = (group(clips) for clips in split(motions, config.data.held_out, config.data.seed))

@@ -157,6 +157,16 @@ def keep_rows(log: Path, step: int):
     replace_file(log, "".join(kept).encode())
 
 
+def check_device(device: str):
+    """Refuse a device that torch cannot use here."""
+    try:
+        torch.empty(1, device=device)
+    except (RuntimeError, AssertionError) as error:
+        raise UserError(
+            "--device", f"{device!r} does not work here ({str(error).splitlines()[0]})", "try cpu"
+        ) from error
+
+
 def open_run(folder: Path, config: Any, resume: bool):
     """Make the run folder and write its resolved configuration.
 

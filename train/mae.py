@@ -13,7 +13,7 @@ from renderers.skeleton import DRAWN_PARTS
 from train.checkpoints import hash_motions, provenance
 from train.config import MAETraining
 from train.data import load_clips_for, split
-from train.loop import fit, open_run, seed_of
+from train.loop import check_device, fit, open_run, seed_of
 from train.pictures import Pictures, Poses, draw_pictures, poses_of
 from train.steps import mae_step, masked_errors
 
@@ -24,6 +24,7 @@ def train_mae(config: MAETraining) -> Path:
     Raises:
         UserError: see ``open_run``, ``load_clips_for`` and ``fit``.
     """
+    check_device(config.device)
     body = Body.free("light").to(config.device)
     rest_joints = body.rest_joints.cpu()
     motions = load_clips_for(config.data, rest_joints)

@@ -1,0 +1,115 @@
+"""The MAE's program end to end, and the baselines it is measured against."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from refine.mae import MAEConfig, load_mae
+from refine.patches import patchify
+from renderers.checks import UserError
+from train.config import MAETraining
+from train.data import DataConfig
+from train.loop import LoopConfig
+from train.mae import fill_from_nearest, measure, train_mae
+from train.pictures import Pictures
+
+
+def config(folder, **changes) -> MAETraining:
+    return replace(
+        MAETraining(
+            out=folder,
+            data=DataConfig(actions=("walk", "wave-both-hands"), synthetic_clips=2, synthetic_seconds=1.0),
+            network=MAEConfig(width=48, depth=1, heads=3, decoder_width=32, decoder_depth=1),
+            loop=LoopConfig(steps=30, learning_rate=3e-3, save_every=15),
+            batch=8,
+            measured=70,
+        ),
+        **changes,
+    )
+
+
+@pytest.fixture(scope="module")
+def trained(tmp_path_factory):
+    folder = tmp_path_factory.mktemp("mae") / "run"
+    return folder, train_mae(config(folder))
+
+
+def test_the_error_falls_and_the_weights_load(trained):
+    folder, weights = trained
+    rows = [json.loads(line) for line in (folder / "log.jsonl").read_text().splitlines()]
+    assert rows[-1]["held_out"]["total"] < 0.8 * rows[0]["total"]
+    mae = load_mae(weights)
+    assert mae.config == config(folder).network
+    assert not any(value.requires_grad for value in mae.parameters())
+
+
+def test_the_run_says_how_it_came_to_be(trained):
+    folder, weights = trained
+    described = json.loads(weights.with_suffix(".json").read_text())
+    assert described["provenance"]["seed"] == 10
+    assert described["data"] == {"source": "synthetic", "clips": 2, "held_out_clips": 2}
+    assert described["pictures"]["kept"] == pytest.approx(1 / 3)
+    assert {"total", "hidden", "body", "mean_hidden", "nearest_hidden"} <= described["held_out"].keys()
+    assert json.loads((folder / "config.json").read_text())["network"]["width"] == 48
+
+
+def test_a_resumed_run_continues_with_the_very_losses(trained, tmp_path):
+    folder, _ = trained
+    short = config(tmp_path / "run", loop=replace(config(folder).loop, steps=15))
+    train_mae(short)
+    train_mae(replace(short, loop=config(folder).loop, resume=True))
+
+    def losses(run):
+        return [json.loads(line)["total"] for line in (run / "log.jsonl").read_text().splitlines()]
+
+    assert losses(tmp_path / "run") == losses(folder)
+
+
+def test_bfloat16_trains_too(tmp_path):
+    loop = LoopConfig(steps=2, save_every=2)
+    exact, rounded = (
+        json.loads(train_mae(config(tmp_path / name, loop=loop, precision=name)).with_suffix(".json").read_text())
+        for name in ("float32", "bfloat16")
+    )
+    assert rounded["held_out"]["total"] != exact["held_out"]["total"]
+    assert rounded["held_out"]["total"] == pytest.approx(exact["held_out"]["total"], rel=0.05)
+
+
+def test_a_device_that_is_not_here_is_refused(tmp_path):
+    with pytest.raises(UserError, match="--device: 'nowhere' does not work here .*; try cpu"):
+        train_mae(config(tmp_path / "run", device="nowhere"))
+    assert not (tmp_path / "run").exists()
+
+
+def test_nearest_fill_copies_the_nearest_visible_patch():
+    patches = torch.arange(9.0).reshape(1, 9, 1)
+    kept = torch.zeros(1, 9, dtype=torch.bool)
+    kept[0, [0, 5]] = True  # row 0 column 0, row 1 column 2
+    filled = fill_from_nearest(patches, kept)[0, :, 0].reshape(3, 3)
+    assert filled.tolist() == [[0, 0, 5], [0, 5, 5], [0, 5, 5]]
+
+
+class Oracle:
+    """Knows the pictures."""
+
+    config = MAEConfig(size=16, patch=8, channels=1)
+
+    def __init__(self, images):
+        self.answer = patchify(images, 8)
+
+    def __call__(self, images, kept):
+        return self.answer
+
+
+def test_baselines_by_hand():
+    images = torch.zeros(2, 1, 16, 16)
+    images[:, :, :8, :8] = 1.0
+    kept = torch.tensor([[False, True, False, False]] * 2)
+    pictures = Pictures(images, kept, torch.ones(2, 1, dtype=torch.bool))
+    figures = measure(Oracle(images), pictures, torch.full((1, 16, 16), 0.5), 4.0)
+    assert (figures["total"], figures["hidden"], figures["body"]) == (0.0, 0.0, 0.0)
+    assert figures["mean_hidden"] == pytest.approx(0.25)
+    assert figures["nearest_hidden"] == pytest.approx(1 / 3)
+    assert figures["nearest_body"] == pytest.approx(1.0)
