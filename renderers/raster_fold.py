@@ -74,10 +74,10 @@ class _Coverage(torch.autograd.Function):
 
         row_pixel, column_pixel = rows.pixel, exchange(columns.pixel, width, height)
         touched = torch.cat([row_pixel, column_pixel])
-        column_area = column_area[torch.cat([exchange(rows.pixel, height, width), columns.pixel])]
-        row_count = torch.zeros_like(row_area).index_add_(0, row_pixel, rows.seen)[touched]
-        column_count = torch.zeros_like(row_area).index_add_(0, column_pixel, columns.seen)[touched]
-        row_area[touched] = blend(row_area[touched], column_area, row_count, column_count)
+        column_area = pick(column_area, torch.cat([exchange(rows.pixel, height, width), columns.pixel]))
+        row_count = pick(torch.zeros_like(row_area).index_add_(0, row_pixel, rows.seen), touched)
+        column_count = pick(torch.zeros_like(row_area).index_add_(0, column_pixel, columns.seen), touched)
+        row_area[touched] = blend(pick(row_area, touched), column_area, row_count, column_count)
 
         ctx.points_shape = points.shape
         ctx.save_for_backward(
@@ -92,7 +92,7 @@ class _Coverage(torch.autograd.Function):
     @once_differentiable
     def backward(ctx, gradient: Tensor):
         pixel, ends, weight, sweep = ctx.saved_tensors
-        pull = sweep * gradient.flatten()[pixel, None]
+        pull = sweep * pick(gradient.flatten(), pixel)[:, None]
         second = pull * weight[:, None]
         pulls = gradient.new_zeros(ctx.points_shape, dtype=torch.float64).view(-1, 2)
         pulls.index_put_((ends.flatten(),), torch.cat([pull - second, second]).double(), accumulate=True)
@@ -104,21 +104,21 @@ def find_folds(points: Tensor, mesh: Mesh) -> Folds:
     frames, vertices, _ = points.shape
     # Frames last: gathering a vertex or a face then copies one row for all frames.
     by_vertex = points.permute(1, 2, 0).contiguous()
-    a, b, c = by_vertex.index_select(0, mesh.faces.T.flatten()).view(3, -1, 2, frames)
+    a, b, c = pick(by_vertex, mesh.faces.T.flatten()).view(3, -1, 2, frames)
     b, c = b - a, c - a
     sign = torch.sign(b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
     sign = sign.to(torch.int8 if mesh.edge_faces.shape[1] < 128 else torch.int32)
     passages = torch.cat([sign, -sign, torch.zeros_like(sign[:1])])
-    first, *others = (passages.index_select(0, faces) for faces in mesh.edge_faces.T)
+    first, *others = (pick(passages, faces) for faces in mesh.edge_faces.T)
     winding = sum(others, start=first)
 
     edge, frame = winding.nonzero().unbind(1)
-    ends = (mesh.edges.T[:, edge] + frame * vertices).flatten()
+    ends = (mesh.edges.T.index_select(1, edge) + frame * vertices).flatten()
     return Folds(
         ends=ends,
-        points=points.reshape(-1, 2)[ends],
+        points=pick(points.reshape(-1, 2), ends),
         winding=winding[edge, frame].long(),
-        image=frame * mesh.channels + mesh.edge_channels[edge],
+        image=frame * mesh.channels + pick(mesh.edge_channels, edge),
     )
 
 
@@ -133,28 +133,29 @@ def find_outline(folds: Folds, images: int, height: int, width: int, subscanline
     repeats = (last - first).abs()
     edge = torch.repeat_interleave(repeats)
     before = repeats.cumsum(0) - repeats
-    line = torch.arange(len(edge), device=edge.device) + (torch.minimum(first, last) - before)[edge]
-    weight = ((line + 0.5).to(y.dtype) / subscanlines - y[0, edge]) / (y[1] - y[0])[edge]
+    line = torch.arange(len(edge), device=edge.device) + pick(torch.minimum(first, last) - before, edge)
+    weight = ((line + 0.5).to(y.dtype) / subscanlines - pick(y[0], edge)) / pick(y[1] - y[0], edge)
     weight = weight.clamp(0, 1)
-    place = torch.lerp(x[0, edge], x[1, edge], weight).clamp(0, width)
-    line = line + (folds.image * lines)[edge]
+    place = torch.lerp(pick(x[0], edge), pick(x[1], edge), weight).clamp(0, width)
+    line = line + pick(folds.image * lines, edge)
 
     order = _order(line, place, images * lines, width)
-    covered = (folds.winding * (last - first).sign())[edge[order]].cumsum(0) != 0
+    winding = pick(folds.winding * (last - first).sign(), pick(edge, order))
+    covered = winding.cumsum(0) != 0
     step = torch.diff(covered.long(), prepend=covered.new_zeros(1, dtype=torch.long))
-    kept = ((step != 0) & (place[order] < width)).nonzero()[:, 0]
-    step, kept = step[kept], order[kept]
-    edge, line, place, weight = edge[kept], line[kept], place[kept], weight[kept]
+    kept = ((step != 0) & (pick(place, order) < width)).nonzero()[:, 0]
+    step, kept = pick(step, kept), pick(order, kept)
+    edge, line, place, weight = (pick(values, kept) for values in (edge, line, place, weight))
 
     cell, seen = place.long(), (place > 0).to(place.dtype)
-    normal = torch.stack([y[1] - y[0], x[0] - x[1]], dim=1)[edge]
+    normal = pick(torch.stack([y[1] - y[0], x[0] - x[1]], dim=1), edge)
     normal = normal / torch.hypot(*normal.unbind(1))[:, None]
     return Outline(
         pixel=line // subscanlines * width + cell,
         part=place - cell,
         step=step,
         seen=seen,
-        ends=folds.ends.view(2, -1)[:, edge],
+        ends=folds.ends.view(2, -1).index_select(1, edge),
         weight=weight,
         sweep=(-step * seen / subscanlines * normal[:, 0])[:, None] * normal,
     )
@@ -165,6 +166,11 @@ def _order(line: Tensor, place: Tensor, lines: int, width: int) -> Tensor:
     place_bits = 62 - lines.bit_length()
     place = (place * 2.0 ** (place_bits - width.bit_length())).long()
     return ((line << place_bits) + place).argsort(stable=True)
+
+
+def pick(values: Tensor, at: Tensor) -> Tensor:
+    """``values[at]``, which on a CPU takes several times as long."""
+    return values.index_select(0, at)
 
 
 def fill(outline: Outline, rows: int, width: int, subscanlines: int) -> Tensor:
