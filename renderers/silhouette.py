@@ -28,7 +28,7 @@ def silhouette(
     Args:
         vertices: [N V 3] world, metres, float32 or float64.
         camera: one for all N, or N.
-        subscanlines: scans per pixel in either direction; 4 is off by about 1e-4 a pixel, 8 by a third of that.
+        subscanlines: scans per pixel in either direction. A body at 64 px is off by 1.4e-4 a pixel with 4, 4e-5 with 8.
         backend: "fold" is fast; "reference" is the plain specification it is compared with.
 
     Returns:
@@ -47,7 +47,7 @@ def silhouette(
     if subscanlines < 1:
         raise UserError("silhouette(subscanlines)", f"expected at least 1, got {subscanlines}")
     check_finite("silhouette(vertices)", vertices, "frame vertex coordinate")
-    points = camera.to(dtype=vertices.dtype).project(vertices)
+    points = camera.to(vertices.device, vertices.dtype).project(vertices)
     return BACKENDS[backend](points, mesh, camera.size, subscanlines)
 
 

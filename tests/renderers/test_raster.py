@@ -208,6 +208,18 @@ def test_a_batch_is_its_frames_and_a_run_repeats_bit_by_bit(generator):
         assert torch.equal(pulls[here], gradient(raster_fold, points[here], mesh, cotangent[here], 4))
 
 
+@pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
+def test_a_gpu_draws_the_same_and_repeats_bit_by_bit(generator):
+    points, _, mesh = poses()
+    cotangent = torch.randn(3, 6, *SIZE, dtype=torch.float64, generator=generator)
+    there = (points.cuda(), mesh.to("cuda"), cotangent.cuda())
+    image, pulls = raster_fold.coverage(*there[:2], SIZE).cpu(), gradient(raster_fold, *there, 4).cpu()
+    assert_images_close("gpu", image, raster_fold.coverage(points, mesh, SIZE), largest=1e-9)
+    torch.testing.assert_close(pulls, gradient(raster_fold, points, mesh, cotangent, 4), atol=1e-9, rtol=0)
+    assert torch.equal(image, raster_fold.coverage(*there[:2], SIZE).cpu())
+    assert torch.equal(pulls, gradient(raster_fold, *there, 4).cpu())
+
+
 def test_the_order_of_faces_and_of_their_corners_does_not_matter(generator):
     points, whole, parts = poses()
     order = torch.randperm(len(whole.faces), generator=generator)
