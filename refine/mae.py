@@ -87,7 +87,7 @@ class MAE(nn.Module):
             if isinstance(module, nn.Linear):  # as the official code; torch's own start lies on a plateau for long
                 nn.init.xavier_uniform_(module.weight)
                 nn.init.zeros_(module.bias)
-        nn.init.zeros_(self.decoder_pred.weight)  # start from an empty picture: most of it is background
+        nn.init.normal_(self.decoder_pred.weight, std=1e-3)  # start near an empty picture: most of it is background
         nn.init.normal_(self.cls_token, std=0.02)
         nn.init.normal_(self.mask_token, std=0.02)
 

@@ -78,7 +78,7 @@ MAE_PRESETS: dict[str, tuple[str, MAETraining]] = {
         MAETraining(
             data=DataConfig(synthetic_clips=6),
             network=MAEConfig(width=96, depth=3, decoder_width=64, decoder_depth=1, decoder_heads=2),
-            loop=replace(MAE_LOOP, steps=1500, learning_rate=3e-3, warmup=50, log_every=1, save_every=300),
+            loop=replace(MAE_LOOP, steps=1500, learning_rate=2e-3, warmup=50, log_every=1, save_every=300),
             batch=32,
             measured=256,
         ),
