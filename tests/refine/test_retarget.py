@@ -158,7 +158,7 @@ def test_left_is_left(clips):
 
 
 def test_soles_lie_flat_where_the_source_stands(clips):
-    """The foot's own up axis, while the T-pose is left at the feet by less than two degrees a frame."""
+    """How far a foot's own up axis leans while the foot hardly turns."""
     tilts = []
     for clip in clips:
         ankles = clip.world[:, [JOINTS["left_ankle"], JOINTS["right_ankle"]]]
