@@ -1,0 +1,97 @@
+import pytest
+import torch
+
+from renderers.camera import frame
+from renderers.palette import BACKGROUND, PARTS, rgb
+from renderers.shade import Light, part_colours, shade
+
+FACES = torch.tensor([[0, 1, 2], [0, 2, 3]])
+
+
+def wall(z: float, low: float = 0.5, high: float = 1.5) -> torch.Tensor:
+    """[4 3] a square that faces +z."""
+    return torch.tensor([[-0.5, low, z], [0.5, low, z], [0.5, high, z], [-0.5, high, z]])
+
+
+def view(size=(40, 40), elevation=0.0, kind="weak"):
+    return frame(torch.tensor([[-1.0, 0.0, -1.0], [1.0, 2.0, 1.0]]), size, elevation=elevation, margin=0.0, kind=kind)
+
+
+@pytest.mark.parametrize("kind", ["weak", "pinhole"])
+@pytest.mark.parametrize("order", [(0, 1), (1, 0)])
+def test_the_nearer_wall_hides_the_farther(kind, order):
+    walls = [wall(-0.5), wall(0.5)]
+    vertices = torch.cat([walls[k] for k in order])[None]
+    faces = torch.cat([FACES, FACES + 4])
+    colours = torch.tensor([[1.0, 0, 0], [0, 0, 1.0]])[list(order)].repeat_interleave(4, 0)
+    picture = shade(vertices, faces, colours, view(kind=kind))[0]
+    middle = picture[:, 18:22, 18:22]
+    assert (middle[2] > middle[0] + 0.2).all()
+
+
+def test_what_it_covers_is_what_projection_says():
+    camera = view()
+    picture = shade(wall(0.0)[None], FACES, torch.zeros(4, 3), camera, floor=False)[0]
+    covered = (picture - torch.tensor(rgb(BACKGROUND))[:, None, None]).abs().amax(0) > 0.1
+    (left, top), (right, bottom) = camera.project(wall(0.0)[None])[0][[3, 1]].round().long().tolist()
+    expected = torch.zeros(40, 40, dtype=torch.bool)
+    expected[top:bottom, left:right] = True
+    assert torch.equal(covered, expected)
+
+
+def test_colours_blend_over_a_face():
+    colours = torch.tensor([[1.0, 0, 0], [0, 1.0, 0], [0, 1.0, 0], [1.0, 0, 0]])
+    row = shade(wall(0.0)[None], FACES, colours, view(), Light(rim=0.0), floor=False)[0][:, 20, 11:29]
+    share = row[0] / (row[0] + row[1])
+    assert torch.allclose(share, torch.linspace(17.5 / 20 + 0.05, 1.5 / 20, 18), atol=0.04)
+
+
+def test_a_surface_that_faces_the_light_is_brighter():
+    roof = torch.tensor([[-0.5, 1.0, 0.5], [0.5, 1.0, 0.5], [0.5, 1.0, -0.5], [-0.5, 1.0, -0.5]])
+    above, below = (
+        shade(roof[None], FACES if up else FACES.flip(1), torch.full((4, 3), 0.5), view(elevation=tilt), floor=False)[0]
+        for up, tilt in ((True, 0.6), (False, -0.6))
+    )
+    background = torch.tensor(rgb(BACKGROUND))[:, None, None]
+    brightness = [p[:, (p - background).abs().amax(0) > 0.05].mean() for p in (above, below)]
+    assert brightness[0] > brightness[1] + 0.1
+
+
+def test_the_shadow_falls_on_the_floor_and_fades_with_height():
+    def darkest(height):
+        roof = torch.tensor([[-0.5, height, 0.5], [0.5, height, 0.5], [0.5, height, -0.5], [-0.5, height, -0.5]])
+        camera = view((80, 80), elevation=0.3)
+        picture = shade(roof[None], FACES, torch.full((4, 3), 0.9), camera, Light(grid=100.0))[0]
+        below = camera.project(roof[None])[0, :, 1].max().ceil().long() + 1
+        return float(torch.tensor(rgb(BACKGROUND)).mean() - picture[:, below:].mean(0).amin())
+
+    assert darkest(0.5) > darkest(1.0) + 0.02 > 0.04
+
+
+def test_a_camera_along_the_floor_sees_no_floor():
+    picture = shade(wall(0.0)[None], FACES, torch.zeros(4, 3), view(elevation=0.0))[0]
+    assert torch.allclose(picture[:, -1, -1], torch.tensor(rgb(BACKGROUND)))
+
+
+def test_above_the_horizon_is_plain_background():
+    camera = view((60, 60), elevation=0.02, kind="pinhole")
+    picture = shade(wall(0.0)[None], FACES, torch.zeros(4, 3), camera)[0]
+    assert picture.isfinite().all()
+    assert torch.allclose(picture[:, 0, 0], torch.tensor(rgb(BACKGROUND)), atol=1e-5)
+
+
+def test_a_vertex_between_parts_has_their_mean():
+    colours = part_colours(FACES, torch.tensor([0, 2]), 4)
+    one, other = torch.tensor(rgb(PARTS[0])), torch.tensor(rgb(PARTS[2]))
+    assert torch.allclose(colours, torch.stack([(one + other) / 2, one, (one + other) / 2, other]))
+
+
+def test_every_frame_has_its_own_camera():
+    from renderers.camera import cat
+
+    cameras = cat([view(), frame(torch.tensor([[-3.0, 0.0, -1.0], [1.0, 2.0, 1.0]]), (40, 40))])
+    both = shade(wall(0.0).expand(2, 4, 3), FACES, torch.zeros(4, 3), cameras)
+    for index in range(2):
+        alone = shade(wall(0.0)[None], FACES, torch.zeros(4, 3), cameras[index : index + 1])[0]
+        assert torch.allclose(both[index], alone, atol=1e-6)
+    assert (both[0] - both[1]).abs().max() > 0.3
