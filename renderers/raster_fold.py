@@ -128,7 +128,7 @@ def find_outline(folds: Folds, images: int, height: int, width: int, subscanline
     x, y = folds.points.view(2, -1, 2).unbind(-1)
 
     # The lines at (line + 1/2) / subscanlines that pass between the ends of an edge. An end that lies on a line counts
-    # as below it for all the edges that meet there, so that what goes into a line also comes out of it.
+    # as before it (smaller y) for all the edges that meet there, so that what goes into a line also comes out of it.
     first, last = (y * subscanlines - 0.5).ceil().clamp(0, lines).long()
     repeats = (last - first).abs()
     edge = torch.repeat_interleave(repeats)

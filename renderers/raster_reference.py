@@ -59,7 +59,7 @@ def _covered(y: float, triangles: Tensor, width: int) -> Tensor:
 def _spans(y: float, triangles: Tensor) -> Tensor:
     """(start, end) [K 2] along the line at height y of the triangles that it crosses.
 
-    A line that runs through a vertex counts the vertex as lying below it, so each triangle is crossed twice or never.
+    A vertex on the line counts as lying before it (smaller y), so that each triangle is crossed twice or never.
     """
     start, end = triangles, triangles.roll(-1, dims=1)
     crossed = (start[..., 1] > y) != (end[..., 1] > y)
