@@ -6,11 +6,14 @@ A true composition follows how people do two things together. Every action *inte
 - a part that one action intends is done by that action alone;
 - a part that neither intends shows the incidental movement of both, added as deviations from the standing posture;
 - a part that both intend is held half way between the two mean postures, and both movements about them are added;
-- the pelvis, and with it place and heading, belongs to whoever intends the legs (if both do, their deviations add);
+- the pelvis, and with it place and heading, belongs to whoever intends the legs (if both do, their deviations add, and
+  a foot is lifted as high as the higher of the two);
 - the legs' inverse kinematics is solved last, on the composed pelvis, so that planted feet stay planted.
 
 No energy and no mask is involved.
 """
+
+from dataclasses import replace
 
 import torch
 from torch import Tensor
@@ -18,7 +21,7 @@ from torch import Tensor
 from refine.motion import Motion
 from refine.procedural.actions import ACTIONS as _ACTIONS
 from refine.procedural.draws import Beat, Draw, draw_parameters
-from refine.procedural.gesture import Deviation, Gesture
+from refine.procedural.gesture import Curve, Deviation, Foot, Gesture
 from refine.procedural.posing import pose
 from renderers.checks import UserError, check_known, check_shapes
 from renderers.skeleton import LEGS
@@ -43,7 +46,7 @@ def draw(name: str, generator: torch.Generator, fps: float = 30.0) -> Draw:
 
 
 def intended(performance: Draw) -> frozenset[str]:
-    """The parts (names of ``renderers.skeleton.PARTS``) that a performance is about; all other movement is incidental."""
+    """The parts (names of ``renderers.skeleton.PARTS``) that a performance is about; the rest is incidental."""
     return frozenset(part.format(hand=performance.hand) for part in _ACTIONS[performance.action].intends)
 
 
@@ -91,7 +94,15 @@ def _compose_upper(limb: str, one: tuple[Draw, Gesture], other: tuple[Draw, Gest
 
 def _compose_legs(limb: str, one: tuple[Draw, Gesture], other: tuple[Draw, Gesture]) -> Deviation:
     claims = [intended(performance).issuperset(LEGS) for performance, _ in (one, other)]
-    return _owned(claims, getattr(one[1], limb), getattr(other[1], limb))
+    mine, its = getattr(one[1], limb), getattr(other[1], limb)
+    if claims == [True, True] and isinstance(mine, Foot):
+        return replace(mine + its, lift=_higher(mine.lift, its.lift))
+    return _owned(claims, mine, its)
+
+
+def _higher(mine: Curve, its: Curve) -> Curve:
+    """A foot is in the air when either action lifts it, and no higher than either does."""
+    return torch.maximum(torch.as_tensor(mine, dtype=torch.float64), torch.as_tensor(its, dtype=torch.float64))
 
 
 def _owned(claims: list[bool], mine: Deviation, its: Deviation) -> Deviation:

@@ -105,7 +105,7 @@ def _pose_legs(rotations: Tensor, gesture: Gesture, rest_joints: Tensor) -> Tens
     lateral[..., 0] = 1.0
     hip_world = _basis(to_foot, facing) @ _basis(folded, lateral).mT
 
-    flat_toes = -foot["pitch"].clamp(0, FOOT_PITCH_MAX) * torch.exp(-foot["lift"] / 0.04)
+    flat_toes = -foot["pitch"].clamp(0, FOOT_PITCH_MAX) * torch.exp(-foot["lift"] / 0.12)
     rotations[:, 0] = orientation[:, 0]
     rotations[:, _pair("hip")] = orientation.mT @ hip_world
     rotations[:, _pair("knee")] = knee_local
