@@ -6,7 +6,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
-FPS, FILM_FPS = 30.0, 15.0
+FPS, FILM_FPS, FILM_SIZE = 30.0, 15.0, (300, 250)
 
 
 @dataclass(frozen=True)
@@ -69,7 +69,7 @@ class Demo:
         }
         with bar(round(self.seconds * FILM_FPS), "draw") as progress:
             captions = [*self.actions, "coupled", "refined"]
-            moments = film([i, j, coupled, refined], drawn_body, (300, 250), FILM_FPS, progress=progress)
+            moments = film([i, j, coupled, refined], drawn_body, FILM_SIZE, FILM_FPS, progress=progress)
             pictures = [contact_sheet([list(map(captioned, moment, captions))], gap=0) for moment in moments]
         with replacing_folder(self.out) as partial:
             extra = {"metres_from_true_composition": error, "seconds": round(time.monotonic() - started, 1)}

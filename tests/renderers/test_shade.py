@@ -47,22 +47,32 @@ def test_colours_blend_over_a_face():
 
 
 def test_a_surface_that_faces_the_light_is_brighter():
-    roof = torch.tensor([[-0.5, 1.0, 0.5], [0.5, 1.0, 0.5], [0.5, 1.0, -0.5], [-0.5, 1.0, -0.5]])
+    vertices, faces = roof(1.0, side=2)
     above, below = (
-        shade(roof[None], FACES if up else FACES.flip(1), torch.full((4, 3), 0.5), view(elevation=tilt), floor=False)[0]
-        for up, tilt in ((True, 0.6), (False, -0.6))
+        shade(vertices[None], faces[:, order], torch.full((9, 3), 0.5), view(elevation=tilt), floor=False)[0]
+        for order, tilt in (((0, 1, 2), 0.6), ((2, 1, 0), -0.6))
     )
     background = torch.tensor(rgb(BACKGROUND))[:, None, None]
     brightness = [p[:, (p - background).abs().amax(0) > 0.05].mean() for p in (above, below)]
     assert brightness[0] > brightness[1] + 0.1
 
 
+def roof(height: float, side: int = 30) -> tuple[torch.Tensor, torch.Tensor]:
+    """A square metre of small faces that look up: the shadow takes every face for a point."""
+    steps = torch.linspace(-0.5, 0.5, side + 1)
+    z, x = torch.meshgrid(steps, steps, indexing="ij")
+    vertices = torch.stack([x, torch.full_like(x, height), z], dim=-1).reshape(-1, 3)
+    corner = (torch.arange(side)[:, None] * (side + 1) + torch.arange(side)).reshape(-1, 1)
+    quad = corner + torch.tensor([0, side + 1, side + 2, 1])
+    return vertices, torch.cat([quad[:, [0, 1, 2]], quad[:, [0, 2, 3]]])
+
+
 def test_the_shadow_falls_on_the_floor_and_fades_with_height():
     def darkest(height):
-        roof = torch.tensor([[-0.5, height, 0.5], [0.5, height, 0.5], [0.5, height, -0.5], [-0.5, height, -0.5]])
+        vertices, faces = roof(height)
         camera = view((80, 80), elevation=0.3)
-        picture = shade(roof[None], FACES, torch.full((4, 3), 0.9), camera, Light(grid=100.0))[0]
-        below = camera.project(roof[None])[0, :, 1].max().ceil().long() + 1
+        picture = shade(vertices[None], faces, torch.full((len(vertices), 3), 0.9), camera, Light(grid=100.0))[0]
+        below = camera.project(vertices[None])[0, :, 1].max().ceil().long() + 1
         return float(torch.tensor(rgb(BACKGROUND)).mean() - picture[:, below:].mean(0).amin())
 
     assert darkest(0.5) > darkest(1.0) + 0.02 > 0.04
