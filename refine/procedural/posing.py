@@ -39,7 +39,7 @@ def pose(gesture: Gesture, rest_joints: Tensor) -> tuple[Tensor, Tensor]:
 
     The feet tread at the height they have in the T-pose. The pelvis sinks where a leg on the floor would not reach.
     """
-    frames = gesture.pelvis.x.shape[0]
+    frames = max(value.numel() for limb in gesture.values for value in limb.values if isinstance(value, Tensor))
     rotations = torch.eye(3).to(rest_joints).expand(frames, 24, 3, 3).clone()
     _pose_torso(rotations, gesture)
     _pose_arms(rotations, gesture)

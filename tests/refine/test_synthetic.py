@@ -8,6 +8,8 @@ import torch
 
 from refine.motion import Motion
 from refine.procedural.curves import keyed
+from refine.procedural.gesture import Foot, Gesture, Pelvis
+from refine.procedural.posing import pose
 from refine.synthetic import ACTIONS, draw, intended, perform, perform_together
 from renderers.body import Body
 from renderers.checks import ShapeError, UserError
@@ -257,6 +259,15 @@ def test_drink_draws_either_hand_and_intends_it(rest):
     draws = [drawn("drink", seed) for seed in range(12)]
     assert {one.hand for one in draws} == {"left", "right"}
     assert all(intended(one) == {f"{one.hand}_arm"} for one in draws)
+
+
+def test_the_pelvis_sinks_until_feet_on_the_floor_are_reached(rest):
+    apart = torch.linspace(0, 0.6, 20)
+    gesture = Gesture(pelvis=Pelvis(y=0.1), left_foot=Foot(ahead=apart), right_foot=Foot(aside=apart))
+    rotations, root = pose(gesture, rest)
+    motion = Motion(rotations, root, 30.0)
+    assert toe_heights(motion, rest).abs().max() < 1e-4
+    assert (root[:, 1].diff() < 0).all() and root[0, 1] - root[-1, 1] > 0.1
 
 
 def test_keyed_curves_pass_their_keys_without_overshoot():
