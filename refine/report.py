@@ -101,7 +101,7 @@ def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "
 
 
 def write_report(
-    folder: Path, composition: Composition, body: Body, frames: int = 4, views: int = 1, extra: dict | None = None
+    folder: Path, composition: Composition, body: Body, frames: int = 4, extra: dict | None = None
 ) -> dict[str, Any]:
     """Write ``report.json``, ``report.html`` and the pictures into a folder.
 
@@ -109,14 +109,13 @@ def write_report(
         folder: exists; see ``renderers.outputs.replacing_folder``.
         body: for the shaded pictures.
         frames: moments, evenly spread, whose every stage is drawn.
-        views: cameras of the decoupler; the first one's pictures are shown.
         extra: further JSON values for the report.
 
     Returns:
         what ``report.json`` holds.
     """
     report = measure(composition) | (extra or {})
-    pictures = {"motions": motions_sheet(composition, body), **stage_sheets(composition, frames, views)}
+    pictures = {"motions": motions_sheet(composition, body), **stage_sheets(composition, frames)}
     if composition.history and len(composition.history["total"]) > 1:
         pictures["loss"] = chart(composition.history, "Refinement: weighed loss terms by step")
     for name, picture in pictures.items():
@@ -126,18 +125,20 @@ def write_report(
     return report
 
 
-def stage_sheets(composition: Composition, frames: int, views: int) -> dict[str, Tensor]:
-    """``stage_sheet`` of evenly spread frames, before and after, by file name."""
+def stage_sheets(composition: Composition, frames: int) -> dict[str, Tensor]:
+    """``stage_sheet`` of evenly spread frames in the first view, coupled and refined, by file name."""
     names = (composition.i.label or "i", composition.j.label or "j")
     length, fps = len(composition.motion), composition.motion.fps
     shown = torch.linspace(0, length - 1, min(frames, length)).round().long().tolist()
     traces = {"coupled": composition.before, "refined": composition.after}
-    return {
-        f"stages-{frame:04d}-{when}": stage_sheet(trace, frame * views, names, f"{when}, {frame / fps:.2f} s")
-        for frame in shown
-        for when, trace in traces.items()
-        if trace
-    }
+    sheets = {}
+    for frame in shown:
+        for when, trace in traces.items():
+            if trace:
+                index = frame * len(trace.composed.pictures) // length
+                title = f"{when}, {frame / fps:.2f} s"
+                sheets[f"stages-{frame:04d}-{when}"] = stage_sheet(trace, index, names, title)
+    return sheets
 
 
 def motions_sheet(composition: Composition, body: Body, poses: int = 8, height: int = 240) -> Tensor:

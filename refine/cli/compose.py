@@ -26,8 +26,8 @@ class Compose:
     """File to write, .bvh or .npz."""
     lam: float = 0.5
     """Share of A where both move alike, 0 to 1."""
-    steps: int = 60
-    """Refinement steps; 0 only couples."""
+    steps: int | None = None
+    """Refinement steps; 0 only couples, none leaves their number to the engine."""
     body: Path | None = None
     """Your SMPL file (.npz or .pkl) instead of the free body."""
     mae: Path | None = None
@@ -40,30 +40,27 @@ class Compose:
     """Of the frames that refinement draws, and of built-in actions."""
 
     def run(self) -> None:
-        from refine.cli.inputs import bar, body_of, judge_of, pair_of
+        from refine.cli.inputs import bar, body_of, judge_of, pair_of, refinement_of
         from refine.composition import Composition, compose
         from refine.coupling import couple
         from refine.formats.files import check_suffix, save_motion
-        from refine.refinement import RefinementConfig
         from refine.report import losses, write_report
         from renderers.outputs import refuse_existing, replacing_folder
 
         check_suffix(self.out)
-        if self.steps < 0:
-            raise UserError("--steps", f"expected 0 or more, got {self.steps}")
         if not 0 <= self.lam <= 1:
             raise UserError("--lam", f"expected a weight between 0 and 1, got {self.lam}")
+        config = refinement_of(self.steps, self.seed)
         for output in filter(None, (self.out, self.report)):
             refuse_existing(output, self.force)
 
         body = body_of(self.body)
         i, j = pair_of(self.a, self.b, body.rest_joints, self.seed)
-        if self.steps == 0 and self.report is None:
+        if config.steps == 0 and self.report is None:
             coupled = couple(i, j, body.rest_joints, self.lam)
             composition = Composition(i, j, coupled, coupled.motion)
         else:
-            config = RefinementConfig(steps=self.steps, seed=self.seed)
-            with bar(self.steps, "refine") as progress:
+            with bar(config.steps, "refine") as progress:
                 composition = compose(i, j, judge_of(body, self.mae), self.lam, None, config, progress)
         save_motion(composition.motion, self.out, body.rest_joints, force=self.force)
         print(f"{self.out}  {len(composition.motion)} frames at {composition.motion.fps:g} fps")

@@ -22,8 +22,8 @@ class Demo:
     """Any two built-in actions."""
     seconds: float = 3.0
     """Length of the motions."""
-    steps: int = 60
-    """Refinement steps."""
+    steps: int | None = None
+    """Refinement steps; none leaves their number to the engine."""
     mae: Path | None = None
     """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
     force: bool = False
@@ -36,18 +36,18 @@ class Demo:
 
         import torch
 
-        from refine.cli.inputs import bar, body_of, judge_of
+        from refine.cli.inputs import bar, body_of, judge_of, refinement_of
         from refine.composition import compose
         from refine.drawing import film
         from refine.formats.files import save_motion
         from refine.metrics import mean_joint_error
-        from refine.refinement import RefinementConfig
         from refine.report import write_report
         from refine.synthetic import ACTIONS, draw, perform, perform_together
         from renderers.checks import check_known
         from renderers.images import captioned, contact_sheet, save_mp4
         from renderers.outputs import refuse_existing, replacing_folder
 
+        config = refinement_of(self.steps, self.seed)
         refuse_existing(self.out, self.force)
         for name in self.actions:
             check_known("--actions", name, ACTIONS)
@@ -57,9 +57,8 @@ class Demo:
         draws = [draw(name, random, FPS) for name in self.actions]
         i, j = (perform(drawn, frames, body.rest_joints) for drawn in draws)
         decoupler = judge_of(body, self.mae)
-        with bar(self.steps, "refine") as progress:
-            refinement = RefinementConfig(steps=self.steps, seed=self.seed)
-            composition = compose(i, j, decoupler, refinement=refinement, progress=progress)
+        with bar(config.steps, "refine") as progress:
+            composition = compose(i, j, decoupler, refinement=config, progress=progress)
 
         true = perform_together(*draws, frames, body.rest_joints).joints(body.rest_joints)
         coupled, refined = composition.coupling.motion, composition.motion
@@ -73,7 +72,7 @@ class Demo:
             pictures = [contact_sheet([list(map(captioned, moment, captions))], gap=0) for moment in moments]
         with replacing_folder(self.out) as partial:
             extra = {"metres_from_true_composition": error, "seconds": round(time.monotonic() - started, 1)}
-            report = write_report(partial, composition, drawn_body, 3, len(decoupler.config.views), extra)
+            report = write_report(partial, composition, drawn_body, 3, extra)
             save_mp4(partial / "film.mp4", pictures, FILM_FPS)
             save_motion(composition.motion, partial / "composition.bvh", body.rest_joints)
 

@@ -13,6 +13,7 @@ if TYPE_CHECKING:
 
     from refine.decoupling import Decoupler
     from refine.motion import Motion
+    from refine.refinement import RefinementConfig
     from renderers.body import Body
 
 
@@ -74,6 +75,17 @@ def judge_of(body: "Body", mae: Path | None = None) -> "Decoupler":
     from refine.mae import load_mae
 
     return Decoupler(body, load_mae(mae))
+
+
+def refinement_of(steps: int | None, seed: int) -> "RefinementConfig":
+    """The engine's own configuration, with another number of steps if one is given."""
+    from refine.refinement import RefinementConfig
+
+    if steps is None:
+        return RefinementConfig(seed=seed)
+    if steps < 0:
+        raise UserError("--steps", f"expected 0 or more, got {steps}")
+    return RefinementConfig(steps=steps, seed=seed)
 
 
 @contextmanager

@@ -28,8 +28,8 @@ class Inspect:
     """Moments to draw, evenly spread."""
     lam: float = 0.5
     """Share of A where both move alike, 0 to 1."""
-    steps: int = 60
-    """Refinement steps."""
+    steps: int | None = None
+    """Refinement steps; none leaves their number to the engine."""
     body: Path | None = None
     """Your SMPL file instead of the free body."""
     mae: Path | None = None
@@ -40,21 +40,20 @@ class Inspect:
     """Of the frames that refinement draws, and of built-in actions."""
 
     def run(self) -> None:
-        from refine.cli.inputs import bar, body_of, clip_of, judge_of, pair_of
+        from refine.cli.inputs import bar, body_of, clip_of, judge_of, pair_of, refinement_of
         from refine.composition import Composition, compose, judge
         from refine.coupling import couple
         from refine.motion import crop, resample
-        from refine.refinement import RefinementConfig
         from refine.report import write_report
         from renderers.outputs import refuse_existing, replacing_folder
 
+        config = refinement_of(self.steps, self.seed)
         refuse_existing(self.out, self.force)
         body = body_of(self.body)
         i, j = pair_of(self.a, self.b, body.rest_joints, self.seed)
         decoupler = judge_of(body, self.mae)
         if self.composition is None:
-            config = RefinementConfig(steps=self.steps, seed=self.seed)
-            with bar(self.steps, "refine") as progress:
+            with bar(config.steps, "refine") as progress:
                 composition = compose(i, j, decoupler, self.lam, None, config, progress)
         else:
             given = resample(clip_of(self.composition, body.rest_joints, self.seed), i.fps)
@@ -64,5 +63,5 @@ class Inspect:
             traces = [judge(motion, i, j, decoupler) for motion in (coupled.motion, given)]
             composition = Composition(i, j, coupled, given, *traces)
         with replacing_folder(self.out) as partial:
-            write_report(partial, composition, body_of(self.body, "full"), self.frames, len(decoupler.config.views))
+            write_report(partial, composition, body_of(self.body, "full"), self.frames)
         print(self.out / "report.html")

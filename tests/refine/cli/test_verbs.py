@@ -301,19 +301,10 @@ def test_a_mistake_costs_one_line_and_leaves_nothing(tmp_path, monkeypatch, caps
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize(
-    "verb",
-    [
-        ["demo"],
-        ["compose"],
-        ["inspect"],
-        ["render"],
-        ["data", "import"],
-        ["train", "mae"],
-        ["train", "generator"],
-        ["generate"],
-    ],
-)
+VERBS = ("demo", "compose", "inspect", "render", "data import", "train mae", "train generator", "generate")
+
+
+@pytest.mark.parametrize("verb", VERBS)
 def test_help_shows_an_example_and_a_seed(capsys, verb):
     with pytest.raises(SystemExit) as stopped:
         main([*verb.split(), "--help"])
