@@ -19,30 +19,39 @@ from renderers.camera import Camera, frame
 from renderers.checks import UserError, check_shapes
 from renderers.mesh import Mesh
 from renderers.rotations import heading, rotation_about
-from renderers.silhouette import silhouette
+from renderers.silhouette import blur, silhouette
 from renderers.skeleton import DRAWN_PART_NAMES, DRAWN_PARTS, PARTS, forward_kinematics, part_of_joint
 
 
 @dataclass(frozen=True)
 class DecouplingConfig:
-    """How compositions are looked at."""
+    """How compositions are looked at. The defaults are ours; ``PAPER`` is as published."""
 
     kept: float = 1 / 3
     """Share of the patches that stays visible."""
-    views: tuple[float, ...] = (0.0,)
+    views: tuple[float, ...] = (0.0, 90.0)
     """Yaw of each camera, degrees; 0 sees the front, 90 the left side."""
-    pinned: Literal["sequence", "frame", "body"] = "frame"
+    pinned: Literal["sequence", "frame", "body"] = "body"
     """What is taken out before drawing, from all three bodies alike: the first frame's place and heading (the paper);
     every frame's; or every frame's pelvis position and orientation."""
-    ownership: Literal["none", "share"] = "none"
+    ownership: Literal["none", "share"] = "share"
     """Whether a sub-action answers for the whole picture (the paper) or for the parts that hold more of its own energy
-    than of the other's."""
+    than of the other's, and is asked with these alone."""
     sharpness: float = 2.0
     """Power of the energy shares before they are compared; larger makes ownership all or nothing."""
-    attention_joints: Literal["sub_action", "composition"] = "sub_action"
-    """Whose projected joints carry the attention (protocol B.4 no. 26)."""
+    attention_joints: Literal["sub_action", "composition", "both"] = "both"
+    """Whose projected joints carry the attention (protocol B.4 no. 26). With the sub-action's alone (the paper) a limb
+    that is elsewhere in the composition is cut off where the visible patches end, and the loss pushes it back there."""
+    blurs: tuple[float, ...] = (0.0, 3.0)
+    """Pixels; the difference is squared at each of these blurs. A sharp difference alone (the paper) has no pull
+    between limbs that do not overlap."""
     epsilon: float = 1.0
     """Pixels squared, in Eq. 6."""
+
+
+PAPER = DecouplingConfig(
+    views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,)
+)
 
 
 class Clips(NamedTuple):
@@ -204,14 +213,20 @@ class Decoupler(nn.Module):
 
     def complete(self, composed: Seen, reference: Reference) -> Side:
         """Keep what belongs to one sub-action, inpaint the rest, and compare with its own picture."""
-        config = self.config
-        own_joints = config.attention_joints == "sub_action"
-        joints_px = reference.seen.joints_px if own_joints else composed.joints_px.detach()
-        attention = attention_map(reference.energies, joints_px, self.size, config.epsilon)
-        kept = keep_top(patch_means(attention, self.mae.config.patch), config.kept)
-        visible = patchify(composed.pictures, self.mae.config.patch)
-        inpainted = unpatchify(
-            paste(visible, self.mae(composed.pictures, kept), kept), self.mae.config.patch, self.size
-        )
-        error = (inpainted - reference.seen.pictures).square().mean((2, 3))
-        return Side(attention, kept, inpainted, (error * reference.owned).mean(1))
+        patch = self.mae.config.patch
+        attention = self.attention(composed, reference)
+        kept = keep_top(patch_means(attention, patch), self.config.kept)
+        # What another action owns says nothing about this one, and the MAE knows pictures of single actions only.
+        shown = composed.pictures * (reference.owned >= 0.5)[..., None, None]
+        visible = patchify(composed.pictures, patch)
+        inpainted = unpatchify(paste(visible, self.mae(shown, kept), kept), patch, self.size)
+        difference = inpainted - reference.seen.pictures
+        blurred = [blur(difference, sigma) if sigma else difference for sigma in self.config.blurs]
+        errors = torch.stack([scale.square().mean((2, 3)) for scale in blurred]).mean(0)
+        return Side(attention, kept, inpainted, (errors * reference.owned).mean(1))
+
+    def attention(self, composed: Seen, reference: Reference) -> Tensor:
+        """Eq. 6 at the joints that the configuration names, [N H W]."""
+        own, made = reference.seen.joints_px, composed.joints_px.detach()
+        carriers = {"sub_action": (own,), "composition": (made,), "both": (own, made)}[self.config.attention_joints]
+        return sum(attention_map(reference.energies, joints, self.size, self.config.epsilon) for joints in carriers)

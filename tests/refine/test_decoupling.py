@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from refine.decoupling import Clips, Decoupler, DecouplingConfig, pin
+from refine.decoupling import PAPER, Clips, Decoupler, pin
 from refine.mae import MAE, MAEConfig
 from refine.patches import patchify
 from renderers.body import Body
@@ -13,7 +13,7 @@ from renderers.checks import ShapeError, UserError
 from renderers.rotations import axis_angle_to_matrix, rotation_about
 from renderers.skeleton import JOINTS
 
-PLAIN = DecouplingConfig()
+PLAIN = replace(PAPER, pinned="frame")
 FRAMES = torch.tensor([[0, 3], [2, 5]])
 
 
