@@ -14,6 +14,7 @@ from renderers.camera import Camera
 from renderers.checks import check_shapes
 from renderers.palette import BACKGROUND, PARTS, rgb
 
+FAR = 1e4  # metres
 FINER = 2  # pixels of the body's picture to one of the result, along each side
 
 
@@ -152,7 +153,7 @@ def _floor(body: Tensor, faces: Tensor, camera: Camera, view: int, light: Light)
 
 
 def _floor_points(camera: Camera, view: int, centre: Tensor) -> Tensor | None:
-    """Floor coordinates (x, z) [H W 2] seen at each pixel centre, far away above the horizon; None when edge-on.
+    """Floor coordinates (x, z) [H W 2] seen at each pixel centre, far away on and above the horizon; None when edge-on.
 
     The floor maps to the picture by a homography for either kind of camera, so four of its points are enough.
     """
@@ -168,8 +169,7 @@ def _floor_points(camera: Camera, view: int, centre: Tensor) -> Tensor | None:
     to_floor = torch.from_numpy(cv2.getPerspectiveTransform(pixels.numpy(), square.numpy())).float()
     rows, columns = torch.meshgrid(torch.arange(height) + 0.5, torch.arange(width) + 0.5, indexing="ij")
     points = torch.stack([columns, rows, torch.ones_like(rows)], dim=-1) @ to_floor.T
-    side = torch.cat([pixels.mean(0), torch.ones(1)]) @ to_floor[2]
-    return torch.where(points[..., 2:] * side.sign() > 1e-9, points[..., :2] / points[..., 2:], 1e4)
+    return (points[..., :2] / points[..., 2:]).nan_to_num(FAR, FAR, -FAR)
 
 
 def _shadow(body: Tensor, faces: Tensor, ground: Tensor, low: Tensor, high: Tensor, light: Light) -> Tensor:

@@ -6,7 +6,8 @@ from refine.motion import Motion
 from renderers.body import Body
 from renderers.camera import frame
 from renderers.palette import BACKGROUND, PARTS, rgb
-from renderers.skeleton import DRAWN_PART_NAMES
+from renderers.rotations import rotation_about
+from renderers.skeleton import DRAWN_PART_NAMES, JOINTS
 
 
 @pytest.fixture(scope="module")
@@ -49,6 +50,18 @@ def test_film_runs_in_real_time_and_follows_the_body(body):
     centres = [is_drawn(moment[0]).nonzero().double().mean(0) for moment in moments]
     assert torch.stack(centres).std(0).max() < 1.5
     assert torch.equal(moments[3][1], moments[5][1])
+
+
+def test_film_shows_the_frame_of_each_moment(body):
+    turning = rotation_about("x", -torch.linspace(0, 1.5, 31))
+    rotations = torch.eye(3).repeat(31, 24, 1, 1)
+    rotations[:, JOINTS["left_shoulder"]] = turning
+    motion = Motion(rotations, body.rest_joints[0].expand(31, 3), 30.0)
+    every_fifth = Motion(rotations[::5], motion.root[::5], 6.0)
+    expected = torch.stack([moment[0] for moment in film([every_fifth], body, (96, 80), fps=6.0)][:6])
+    found = torch.stack([moment[0] for moment in film([motion], body, (96, 80), fps=6.0)])
+    assert torch.allclose(found, expected, atol=0.02)
+    assert (expected[0] - expected[5]).abs().max() > 0.3
 
 
 def test_a_camera_carried_along_sees_the_same(body):

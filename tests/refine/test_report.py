@@ -5,11 +5,11 @@ import pytest
 import torch
 
 from refine.composition import Composition, compose, judge
-from refine.decoupling import Decoupler
+from refine.decoupling import Decoupler, DecouplingConfig
 from refine.energies import energy_signal, part_energies
 from refine.mae import MAE, MAEConfig
 from refine.refinement import RefinementConfig
-from refine.report import STAGES, losses, measure, stage_sheet, write_report
+from refine.report import STAGES, losses, measure, stage_sheet, stage_sheets, write_report
 from refine.synthetic import draw, perform
 from renderers.body import Body
 from renderers.images import enlarged, part_picture
@@ -24,7 +24,7 @@ def body() -> Body:
 @pytest.fixture(scope="module")
 def decoupler(body) -> Decoupler:
     size = MAEConfig(size=32, width=16, depth=1, heads=1, decoder_width=16, decoder_depth=1, decoder_heads=1)
-    return Decoupler(body, MAE(size))
+    return Decoupler(body, MAE(size), DecouplingConfig(views=(0.0, 90.0)))
 
 
 @pytest.fixture(scope="module")
@@ -69,6 +69,15 @@ def test_a_stage_sheet_shows_both_sides_in_every_stage(composition):
         expected = (enlarged(part_picture(reference.seen.pictures[3]), 2) * 255).round()
         found = (sheet[:, :, left] * 255).round().unfold(1, 64, 1).permute(1, 0, 3, 2)
         assert (found - expected).abs().amax((1, 2, 3)).min() <= 1
+
+
+def test_the_sheets_show_their_frames_in_the_first_view(composition, decoupler):
+    views = len(decoupler.config.views)
+    assert views > 1
+    sheets = stage_sheets(composition, 2)
+    expected = stage_sheet(composition.after, 5 * views, ("walk", "drink"), "refined, 0.17 s")
+    assert torch.equal(sheets["stages-0005-refined"], expected)
+    assert not torch.equal(expected, stage_sheet(composition.after, 5, ("walk", "drink"), "refined, 0.17 s"))
 
 
 def test_the_folder_holds_one_self_contained_page(composition, body, tmp_path):

@@ -1,7 +1,7 @@
 import pytest
 import torch
 
-from renderers.camera import frame
+from renderers.camera import cat, frame
 from renderers.palette import BACKGROUND, PARTS, rgb
 from renderers.shade import Light, part_colours, shade
 
@@ -97,11 +97,10 @@ def test_a_vertex_between_parts_has_their_mean():
 
 
 def test_every_frame_has_its_own_camera():
-    from renderers.camera import cat
-
-    cameras = cat([view(), frame(torch.tensor([[-3.0, 0.0, -1.0], [1.0, 2.0, 1.0]]), (40, 40))])
-    both = shade(wall(0.0).expand(2, 4, 3), FACES, torch.zeros(4, 3), cameras)
+    points = torch.tensor([[-3.0, 0.0, -1.0], [1.0, 2.0, 1.0]])
+    cameras = cat([view(elevation=0.2), frame(points, (40, 40), yaw=0.7, elevation=0.5)])
+    both = shade(wall(0.0).expand(2, 4, 3), FACES, torch.full((4, 3), 0.5), cameras)
     for index in range(2):
-        alone = shade(wall(0.0)[None], FACES, torch.zeros(4, 3), cameras[index : index + 1])[0]
+        alone = shade(wall(0.0)[None], FACES, torch.full((4, 3), 0.5), cameras[index : index + 1])[0]
         assert torch.allclose(both[index], alone, atol=1e-6)
     assert (both[0] - both[1]).abs().max() > 0.3
