@@ -178,3 +178,18 @@ def test_impossible_configurations_are_refused():
         LoopConfig(steps=0)
     with pytest.raises(UserError, match="learning_rate"):
         LoopConfig(learning_rate=0.0)
+
+
+def test_every_step_draws_afresh_from_both_streams(tmp_path):
+    """Dropout draws from torch's own generator, all else from the one that is handed over."""
+    drawn = []
+
+    def recording(model):
+        def losses(step, random):
+            drawn.append((float(torch.rand(())), float(torch.rand((), generator=random))))
+            return model.losses(step, random)
+
+        return losses
+
+    run(tmp_path / "run", 10, losses=recording)
+    assert len({value for pair in drawn for value in pair}) == 20
