@@ -17,6 +17,9 @@ from renderers.checks import ShapeError, UserError, check_shapes
 from renderers.outputs import replacing
 from renderers.palette import BACKGROUND, FAINT, HEAT, INK, LINES, PARTS, rgb
 
+SMALLEST = 1e-8  # share of the greatest value that a log axis still shows
+
+
 # --- files -----------------------------------------------------------------------------------------------------------
 
 
@@ -54,11 +57,6 @@ def save_mp4(path: str | Path, frames: Tensor | Sequence[Tensor], fps: float) ->
 
 
 # --- pictures beside one another -------------------------------------------------------------------------------------
-
-
-def beside(images: Sequence[Tensor], gap: int = 8) -> Tensor:
-    """Pictures in one row [3 H sum(W)], aligned at the top, on the common background."""
-    return contact_sheet([list(images)], gap=gap)
 
 
 def contact_sheet(
@@ -106,13 +104,6 @@ def contact_sheet(
             sheet.paste(cell, (left + (span - cell.width) // 2, y + over))
         y += over + tall + gap
     return _tensor(sheet)
-
-
-def captioned(image: Tensor, caption: str, size: int = 16) -> Tensor:
-    """The picture with a line of text in its top left corner."""
-    picture = _pil(image)
-    ImageDraw.Draw(picture).text((size // 2, size // 3), caption, INK, font=_font(size))
-    return _tensor(picture)
 
 
 def enlarged(image: Tensor, factor: int) -> Tensor:
@@ -204,7 +195,8 @@ def chart(series: dict[str, list[float]], title: str, size: tuple[int, int] = (3
     """Lines over the step number, with numbers on both axes and a legend.
 
     Args:
-        series: one list a line; values that cannot be drawn (not finite, or not positive on a log axis) leave gaps.
+        series: one list a line; values that cannot be drawn leave gaps: those that are not finite and, on a log axis,
+            those below a hundred-millionth of the greatest.
         size: (height, width) in pixels.
 
     Returns:
@@ -218,10 +210,13 @@ def chart(series: dict[str, list[float]], title: str, size: tuple[int, int] = (3
 
     height_of = (lambda value: math.log10(value)) if log else (lambda value: value)
 
-    def fits(value: float) -> bool:
-        return math.isfinite(value) and (value > 0 or not log)
+    finite = [value for values in series.values() for value in values if math.isfinite(value)]
+    floor = max([0.0, *finite]) * SMALLEST if log else -math.inf
 
-    drawable = [value for values in series.values() for value in values if fits(value)]
+    def fits(value: float) -> bool:
+        return math.isfinite(value) and value > floor
+
+    drawable = [value for value in finite if fits(value)]
     if not drawable:
         draw.text(((left + right) / 2, (top + bottom) / 2), "nothing to draw", INK, font=small, anchor="mm")
         return _tensor(canvas.resize((width // 2, height // 2), Image.Resampling.LANCZOS))

@@ -54,7 +54,10 @@ def forward_kinematics(rotations: Tensor, root: Tensor, rest_joints: Tensor) -> 
         joints [... 24 3] in metres, world rotations [... 24 3 3].
     """
     check_shapes(
-        "forward_kinematics", rotations=(rotations, "... 24 3 3"), root=(root, "... 3"), rest_joints=(rest_joints, "24 3")
+        "forward_kinematics",
+        rotations=(rotations, "... 24 3 3"),
+        root=(root, "... 3"),
+        rest_joints=(rest_joints, "24 3"),
     )
     world, joints = [rotations[..., 0, :, :]], [root]
     for joint in range(1, len(PARENTS)):

@@ -44,7 +44,7 @@ class Demo:
         from refine.report import write_report
         from refine.synthetic import ACTIONS, draw, perform, perform_together
         from renderers.checks import check_known
-        from renderers.images import captioned, contact_sheet, save_mp4
+        from renderers.images import contact_sheet, save_mp4
         from renderers.outputs import refuse_existing, replacing_folder
 
         config = refinement_of(self.steps, self.seed)
@@ -69,7 +69,7 @@ class Demo:
         with bar(round(self.seconds * FILM_FPS), "draw") as progress:
             captions = [*self.actions, "coupled", "refined"]
             moments = film([i, j, coupled, refined], drawn_body, FILM_SIZE, FILM_FPS, progress=progress)
-            pictures = [contact_sheet([list(map(captioned, moment, captions))], gap=0) for moment in moments]
+            pictures = [contact_sheet([moment], column_captions=captions, gap=0) for moment in moments]
         with replacing_folder(self.out) as partial:
             extra = {"metres_from_true_composition": error, "seconds": round(time.monotonic() - started, 1)}
             report = write_report(partial, composition, drawn_body, 3, extra)

@@ -164,8 +164,16 @@ def test_chart_leaves_gaps_for_what_has_no_logarithm():
     assert (share < 0.3).any()
 
 
-def test_chart_of_nothing_says_so():
-    assert images.chart({"a": [math.nan]}, "empty").shape == (3, 360, 640)
+def test_rounding_errors_do_not_stretch_the_axis():
+    rows = [
+        line_at(images.chart({"a": [first, *[1.0, 0.1] * 9]}, "steep"), palette.LINES[0])[:, 0] for first in (1e-15, 0)
+    ]
+    assert torch.equal(*rows)
+
+
+@pytest.mark.parametrize("values", [[], [math.nan], [-1.0, 0.0]])
+def test_chart_of_nothing_says_so(values):
+    assert images.chart({"a": values}, "empty").shape == (3, 360, 640)
 
 
 @pytest.mark.parametrize(
