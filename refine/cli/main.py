@@ -1,5 +1,6 @@
 """``refine``: reads the command line, runs the verb, and words what went wrong in one line."""
 
+import os
 import sys
 from collections.abc import Sequence
 
@@ -41,10 +42,14 @@ def main(argv: Sequence[str] | None = None) -> int:
             prog="refine", description=DESCRIPTION, args=argv, config=(FlagCreatePairsOff, CascadeSubcommandArgs)
         )
         verb.run()
+        sys.stdout.flush()
     except KeyboardInterrupt:
         return fail("stopped; nothing half-written is left", 130)
     except UserError as error:
         return fail(str(error), 2)
+    except BrokenPipeError:  # whoever read our lines has enough of them, as in `refine demo | head -1`
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        return 0
     except OSError as error:
         if error.filename is None:
             raise

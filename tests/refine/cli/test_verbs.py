@@ -342,6 +342,17 @@ def test_the_program_itself_fails_in_one_line(tmp_path):
     assert done.stderr == "refine: missing.bvh: cannot be read (No such file or directory); check the path\n"
 
 
+def test_a_reader_that_leaves_is_no_error(clips, tmp_path):
+    command = [sys.executable, "-m", "refine.cli.main", "compose", str(clips / "walk.bvh"), "squat", "-o", "a.bvh"]
+    with subprocess.Popen(
+        [*command, "--steps", "0"], stdout=subprocess.PIPE, stderr=subprocess.PIPE, cwd=tmp_path
+    ) as running:
+        running.stdout.close()
+        assert running.stderr.read() == b""
+        assert running.wait() == 0
+    assert (tmp_path / "a.bvh").is_file()
+
+
 def test_a_wrong_flag_is_a_usage_error(tmp_path):
     done = refine("demo", "--otu", "a", folder=tmp_path)
     assert done.returncode == 2
