@@ -49,9 +49,7 @@ class DecouplingConfig:
     """Pixels squared, in Eq. 6."""
 
 
-PAPER = DecouplingConfig(
-    views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,)
-)
+PAPER = DecouplingConfig(views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,))
 
 
 class Clips(NamedTuple):

@@ -21,17 +21,17 @@ class RefinementConfig:
 
     steps: int = 60
     frames: int = 8
-    """Frames drawn in each step, spread over the clip."""
+    """Frames drawn in each step, spread over the clip, in one view; the views take turns."""
     rate: float = 0.03
     """Adam's step for the shares along the line between the sub-actions."""
     free_rate: float = 0.003
     """Adam's step for the free 6D offsets."""
     smooth_frames: float = 2.0
     """Standard deviation, in frames, of the smoothing that the free offsets pass through."""
-    stay: float = 0.01
+    stay: float = 1e-3
     """Weight of the squared free offsets, and of the squared shares."""
-    smooth: float = 10.0
-    """Weight of the squared change of the joints' accelerations, per frame squared."""
+    smooth: float = 1.0
+    """Weight of the squared second difference of the free offsets, per frame to the fourth."""
     feet: float = 10.0
     """Weight of the squared distance (m) of planted feet from where the composition planted them."""
     seed: int = 0
@@ -84,7 +84,7 @@ def refine_motion(
     history: dict[str, list[float]] = {}
     for step in range(config.steps):
         chosen = spread_frames(frames, config.frames, generator)
-        terms = problem.terms(shares, offsets, chosen)
+        terms = problem.terms(shares, offsets, chosen, step % len(problem.cameras))
         total = sum(terms.values())
         optimiser.zero_grad()
         total.backward()
@@ -94,11 +94,10 @@ def refine_motion(
             history.setdefault(name, []).append(value.item())
         if progress:
             progress(step, {name: value.item() for name, value in terms.items()})
-    every = torch.arange(frames)[None]
     with torch.no_grad():
         rotations = problem.rotations(shares, offsets)
         motion = replace(composed, rotations=rotations, source=f"{composed.source} refined")
-        before, after = (problem.compare(clip.rotations, every) for clip in (composed, motion))
+        before, after = (problem.compare(clip.rotations, torch.arange(frames)[None]) for clip in (composed, motion))
     return Refined(motion, before, after, history)
 
 
@@ -128,28 +127,29 @@ class Problem(NamedTuple):
 
     def rotations(self, shares: Tensor, offsets: Tensor) -> Tensor:
         """[T 24 3 3]; the global orientation is the composition's."""
-        smooth = (self.smoother @ offsets.flatten(1)).reshape(offsets.shape)
-        moved = matrix_from_6d(self.composed.six + shares * self.line + smooth)
+        moved = matrix_from_6d(self.composed.six + shares * self.line + self.smoothed(offsets))
         return torch.cat([self.composed.rotations[:, :1], moved[:, 1:]], dim=1)
 
-    def compare(self, rotations: Tensor, frames: Tensor) -> Trace:
-        """Eq. 7 of the frames [1 K]."""
+    def smoothed(self, offsets: Tensor) -> Tensor:
+        return (self.smoother @ offsets.flatten(1)).reshape(offsets.shape)
+
+    def compare(self, rotations: Tensor, frames: Tensor, views: slice = slice(None)) -> Trace:
+        """Eq. 7 of the frames [1 K] in some of the views."""
         clips = Clips(rotations[None], self.composed.root[None])
-        seen = self.decoupler.see(clips, frames, self.cameras)
-        views = len(self.cameras)
-        rows = (frames[0, :, None] * views + torch.arange(views)).flatten()
+        seen = self.decoupler.see(clips, frames, self.cameras[views])
+        rows = (frames[0, :, None] * len(self.cameras) + torch.arange(len(self.cameras))[views]).flatten()
         return self.decoupler.compare(seen, tuple(take_rows(reference, rows) for reference in self.references))
 
-    def terms(self, shares: Tensor, offsets: Tensor, frames: Tensor) -> dict[str, Tensor]:
-        """Weighed loss terms; the decoupling loss is drawn for ``frames`` [1 K] only."""
+    def terms(self, shares: Tensor, offsets: Tensor, frames: Tensor, view: int) -> dict[str, Tensor]:
+        """Weighed loss terms; the decoupling loss is drawn for ``frames`` [1 K] in one view."""
         config = self.config
         rotations = self.rotations(shares, offsets)
         joints = forward_kinematics(rotations, self.composed.root, self.decoupler.body.rest_joints)[0]
         moved = joints - self.joints
         return {
-            "decoupling": self.compare(rotations, frames).loss,
+            "decoupling": self.compare(rotations, frames, slice(view, view + 1)).loss,
             "stay": config.stay * (offsets.square().mean() + shares.square().mean()),
-            "smooth": config.smooth * moved.diff(n=2, dim=0).square().sum(-1).mean(),
+            "smooth": config.smooth * self.smoothed(offsets).diff(n=2, dim=0).square().mean(),
             "feet": config.feet * (moved[:, FEET].square().sum(-1) * self.planted).mean(),
         }
 
