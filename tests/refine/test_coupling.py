@@ -74,6 +74,7 @@ def test_switches():
     )
     owned = coupling_weights(of_i, of_j, 0.5, CouplingConfig())
     assert owned[0] == 1 and owned[1] == pytest.approx(0.9)
+    assert torch.allclose(coupling_weights(of_i, of_j, 0.3, CouplingConfig(mask=False)), torch.tensor(0.3))
 
 
 def test_root_belongs_wholly_to_the_owner_of_the_legs(rest_joints):

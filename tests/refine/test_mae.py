@@ -41,6 +41,40 @@ def test_size_of_the_published_small_network():
     assert sum(value.numel() for value in tensors.values()) == 3_174_016
 
 
+def test_size_of_the_official_vit_l():
+    with torch.device("meta"):
+        tensors = MAE(
+            MAEConfig(224, 16, 3, 1024, 24, 16, decoder_width=512, decoder_depth=8, decoder_heads=16)
+        ).state_dict()
+    assert len(tensors) == 398 and sum(value.numel() for value in tensors.values()) == 329_541_888
+
+
+def test_forward_is_the_published_one_whatever_the_order_of_the_visible(mae, pictures, kept, generator):
+    """Token by token: place, encode, norm, narrow, put back among mask tokens, place, decode, norm, predict."""
+
+    def normed(x, layer):
+        return torch.nn.functional.layer_norm(x, x.shape[-1:], layer.weight, layer.bias, eps=1e-6)
+
+    weight, bias = mae.patch_embed.proj.weight.flatten(1), mae.patch_embed.proj.bias
+    visible = kept[1].nonzero()[:, 0]
+    visible = visible[torch.randperm(len(visible), generator=generator)].tolist()
+    tokens = [mae.cls_token[0, 0]]
+    for patch in visible:
+        top, left = 8 * (patch // 4), 8 * (patch % 4)
+        pixels = pictures[1, :, top : top + 8, left : left + 8].flatten()
+        tokens.append(weight @ pixels + bias + mae.pos_embed[0, 1 + patch])
+    x = torch.stack(tokens)[None]
+    for block in mae.blocks:
+        x = block(x)
+    x = mae.decoder_embed(normed(x, mae.norm))[0]
+    full = [x[0], *(x[1 + visible.index(n)] if n in visible else mae.mask_token[0, 0] for n in range(16))]
+    x = torch.stack(full)[None] + mae.decoder_pos_embed
+    for block in mae.decoder_blocks:
+        x = block(x)
+    expected = mae.decoder_pred(normed(x, mae.decoder_norm))[0, 1:]
+    assert torch.allclose(mae(pictures, kept)[1], expected, atol=1e-6)
+
+
 def test_masked_pixels_have_no_influence(mae, pictures, kept):
     patches = mae(pictures, kept)
     assert patches.shape == (2, 16, 8 * 8 * 6)
@@ -87,7 +121,7 @@ def test_file_round_trip_and_bad_files(mae, pictures, kept, tmp_path):
     (tmp_path / "small.json").write_text(json.dumps(described))
     loaded = load_mae(path)
     assert torch.equal(loaded(pictures, kept), mae(pictures, kept))
-    assert not any(parameter.requires_grad for parameter in loaded.parameters())
+    assert not any(parameter.requires_grad for parameter in loaded.parameters()) and not loaded.training
 
     (tmp_path / "small.json").write_text(json.dumps({"config": {**SMALL.__dict__, "width": 96}}))
     with pytest.raises(UserError, match="small.safetensors: not the weights"):

@@ -41,6 +41,20 @@ def test_skate_is_the_speed_of_low_feet_only():
     assert foot_skate(joints, fps=30.0) == pytest.approx(0.3 * 1 / 3, rel=1e-4)
 
 
+def test_a_foot_that_rises_on_the_spot_does_not_skate():
+    joints = torch.zeros(10, 24, 3)
+    joints[:, FEET, 1] = torch.linspace(0.0, 0.04, 10)[:, None]
+    assert foot_skate(joints, fps=30.0) == 0.0
+
+
+def test_each_foot_joint_stands_at_its_own_height():
+    joints = torch.zeros(4, 24, 3)
+    joints[:, JOINTS["left_ankle"], 1] = 0.3
+    joints[:, JOINTS["left_ankle"], 0] = torch.arange(4.0) * 0.002
+    assert planted_feet(joints, fps=30.0).all()
+    assert foot_skate(joints, fps=30.0) == pytest.approx(0.06 / 4)
+
+
 def test_planted_feet_are_low_and_slow():
     joints = torch.zeros(5, 24, 3)
     joints[:, JOINTS["right_foot"], 1] = torch.tensor([0.0, 0.0, 0.2, 0.2, 0.0])

@@ -46,6 +46,11 @@ def test_ties_still_keep_the_exact_count():
     assert keep_top(torch.zeros(1, 2), 0.1).sum() == 1
 
 
+def test_the_count_is_rounded_down_but_for_rounding_errors():
+    assert keep_top(torch.zeros(1, 8), 1 / 3).sum() == 2
+    assert keep_top(torch.zeros(1, 100), 0.29).sum() == 29 and 100 * 0.29 < 29
+
+
 def test_random_masks_differ_and_are_fair(generator):
     kept = keep_random(4000, 9, 1 / 3, generator)
     assert (kept.sum(1) == 3).all()
