@@ -5,12 +5,14 @@ from dataclasses import replace
 import pytest
 import torch
 
+from refine.attention import attention_map
 from refine.decoupling import PAPER, Clips, Decoupler, pin
 from refine.mae import MAE, MAEConfig
 from refine.patches import patchify
 from renderers.body import Body
 from renderers.checks import ShapeError, UserError
 from renderers.rotations import axis_angle_to_matrix, rotation_about
+from renderers.silhouette import blur
 from renderers.skeleton import JOINTS
 
 PLAIN = replace(PAPER, pinned="frame")
@@ -102,6 +104,52 @@ def test_pictures_run_clip_frame_view(body, mae):
     alone = Clips(clip.rotations[1:], clip.root[1:])
     one = side_only.see(alone, torch.tensor([[5]]), side_only.cameras(clip, clip)).pictures
     assert torch.allclose(every[(1 * 2 + 1) * 2 + 1], one[0], atol=1e-4)
+
+
+def test_a_view_of_ninety_degrees_sees_the_left_side(body, mae):
+    front, left = Decoupler(body, mae, replace(PLAIN, views=(0.0, 90.0))).cameras(clips(0), clips(1))
+    ahead, to_the_left = torch.eye(3)[None, None, 2], torch.eye(3)[None, None, 0]
+    assert front.project(to_the_left)[0, 0, 0] > 40 and front.project(ahead)[0, 0, 0] == pytest.approx(32, abs=1e-3)
+    assert left.project(ahead)[0, 0, 0] < 24 and left.project(to_the_left)[0, 0, 0] == pytest.approx(32, abs=1e-3)
+
+
+@pytest.mark.parametrize("mode", ["sequence", "frame", "body"])
+def test_the_picture_holds_raised_and_stretched_arms(body, mae, mode):
+    pose = torch.zeros(1, 2, 24, 3)
+    pose[0, 1, JOINTS["left_shoulder"], 2], pose[0, 1, JOINTS["right_shoulder"], 2] = 1.0, -1.0
+    clip = Clips(axis_angle_to_matrix(pose), body.rest_joints[0].expand(1, 2, 3))
+    decoupler = Decoupler(body, mae, replace(PLAIN, pinned=mode, views=(0.0, 45.0, 90.0)))
+    pictures = decoupler.see(clip, torch.tensor([[0, 1]]), decoupler.cameras(clip, clip)).pictures.sum(1)
+    assert (pictures.sum((1, 2)) > 100).all()
+    assert pictures[:, [0, -1]].max() == 0 and pictures[:, :, [0, -1]].max() == 0
+
+
+@pytest.mark.parametrize("whose", ["sub_action", "composition", "both"])
+def test_attention_lies_on_the_joints_that_are_named(body, mae, whose):
+    trace = Decoupler(body, mae, replace(PLAIN, attention_joints=whose))(clips(0), clips(1), clips(2), FRAMES)
+    for side, reference in zip(trace.sides, trace.references, strict=True):
+        own, made = (
+            attention_map(reference.energies, seen.joints_px, (64, 64)) for seen in (reference.seen, trace.composed)
+        )
+        expected = {"sub_action": own, "composition": made, "both": own + made}[whose]
+        assert torch.allclose(side.attention, expected) and not torch.allclose(own, made)
+
+
+def test_every_blur_counts_alike(body, mae):
+    trace = Decoupler(body, mae, replace(PLAIN, blurs=(0.0, 3.0)))(clips(0), clips(1), clips(2), FRAMES)
+    for side, reference in zip(trace.sides, trace.references, strict=True):
+        difference = side.inpainted - reference.seen.pictures
+        expected = (difference.square() + blur(difference, 3.0).square()).mean((1, 2, 3)) / 2
+        assert torch.allclose(side.loss, expected)
+
+
+def test_what_the_other_action_owns_does_not_count(body, mae):
+    """i swings its left arm, j its right: where the composition's right arm is, is nothing to i."""
+    decoupler = Decoupler(body, mae, replace(PLAIN, ownership="share"))
+    subs = clips(1, ["left_shoulder"]), clips(2, ["right_shoulder"])
+    one, other = (decoupler(clips(0, moving), *subs, FRAMES).sides for moving in ([], ["right_elbow"]))
+    assert torch.allclose(one[0].loss, other[0].loss, rtol=1e-4)
+    assert not torch.allclose(one[1].loss, other[1].loss, rtol=1e-2)
 
 
 def test_kept_patches_lie_where_the_action_moves(body, mae):
