@@ -15,7 +15,7 @@ from train.config import MAETraining
 from train.data import load_clips_for, split
 from train.loop import check_device, fit, open_run, seed_of
 from train.pictures import Pictures, Poses, draw_pictures, poses_of
-from train.steps import mae_step, masked_errors
+from train.steps import inpainting_terms, mae_step
 
 
 def train_mae(config: MAETraining) -> Path:
@@ -79,32 +79,27 @@ def drawing(body: Body, config: MAETraining):
 
 @torch.no_grad()
 def measure(mae: MAE, pictures: Pictures, mean: Tensor, body_weight: float) -> dict[str, float]:
-    """The terms of ``mae_step`` on whole pictures, and those of two inpainters that know nothing of bodies.
+    """``inpainting_terms`` of the MAE on whole pictures, and those of two inpainters that know nothing of bodies.
 
     Args:
         mean: [C H W] the mean picture of the training poses.
 
     Returns:
-        ``total``, ``hidden``, ``body`` of the MAE, and ``hidden`` and ``body`` of the baselines, named ``mean_*``
-        (every hidden patch as in the mean picture) and ``nearest_*`` (as the nearest visible patch).
+        ``total``, ``hidden`` and ``body`` of the MAE, and those of the baselines, named ``mean_*`` (every hidden patch
+        as in the mean picture) and ``nearest_*`` (as the nearest visible patch).
     """
-    images, kept, shown = pictures.images, pictures.kept, torch.ones_like(pictures.shown)
+    images, kept = pictures.images, pictures.kept
     patch, hidden = mae.config.patch, ~kept[..., None].expand(-1, -1, images.shape[1])
-    parts = zip(images.split(64), kept.split(64), shown.split(64), strict=True)
-    found = [mae_step(Pictures(*part), mae, body_weight) for part in parts]
-    sizes = torch.tensor([len(part) for part in images.split(64)], dtype=torch.float64)
-    figures = {
-        name: float((torch.tensor([float(terms[name]) for terms in found]).double() * sizes).sum() / sizes.sum())
-        for name in found[0]
+    filled = {
+        "": torch.cat([mae(*part) for part in zip(images.split(64), kept.split(64), strict=True)]),
+        "mean_": patchify(mean[None], patch).expand(len(images), -1, -1),
+        "nearest_": fill_from_nearest(patchify(images, patch), kept),
     }
-    for name, filled in (
-        ("mean", patchify(mean[None], patch).expand(len(images), -1, -1)),
-        ("nearest", fill_from_nearest(patchify(images, patch), kept)),
-    ):
-        errors, touched = masked_errors(filled, images, hidden, patch)
-        figures[f"{name}_hidden"] = float(errors.sum() / hidden.sum())
-        figures[f"{name}_body"] = float((errors * touched).sum() / touched.sum())
-    return figures
+    return {
+        f"{prefix}{name}": float(value)
+        for prefix, patches in filled.items()
+        for name, value in inpainting_terms(patches, images, hidden, patch, body_weight).items()
+    }
 
 
 def fill_from_nearest(patches: Tensor, kept: Tensor) -> Tensor:

@@ -110,34 +110,32 @@ def lift(root: Tensor, height: Tensor) -> Tensor:
     return root + torch.nn.functional.pad(height[:, None, None], (1, 1))
 
 
-def masked_errors(patches: Tensor, images: Tensor, hidden: Tensor, patch: int) -> tuple[Tensor, Tensor]:
-    """Mean squared error of each predicted patch and channel.
+def inpainting_terms(
+    patches: Tensor, images: Tensor, hidden: Tensor, patch: int, body_weight: float
+) -> dict[str, Tensor]:
+    """Mean squared errors of what was hidden.
 
     Args:
         patches: [N P D], predicted; images: [N C H W].
-        hidden: [N P C] bool, True = the MAE could not see it.
+        hidden: [N P C] bool, True = the inpainter could not see it.
 
     Returns:
-        errors [N P C], 0 where nothing was hidden, and touched [N P C], True = hidden, its patch touched by the body.
+        scalars ``total`` (patches that the body touches count ``body_weight`` times), ``hidden`` (the plain mean) and
+        ``body`` (over the touched patches alone; 0 where there are none).
     """
     target = patchify(images, patch)
-    of_pixels = (patches - target).square().unflatten(-1, (patch * patch, -1))
+    errors = (patches - target).square().unflatten(-1, (patch * patch, -1)).mean(-2) * hidden
     touched = (target.amax(-1) > 0)[..., None] & hidden
-    return of_pixels.mean(-2) * hidden, touched
-
-
-def mae_step(batch: Pictures, mae: MAE, body_weight: float) -> dict[str, Tensor]:
-    """Error of what was hidden, where patches that the body touches count ``body_weight`` times.
-
-    Returns:
-        scalars ``total``, ``hidden`` (the plain mean over what was hidden) and ``body`` (over the touched patches).
-    """
-    visible = batch.images * batch.shown[..., None, None]
-    hidden = ~batch.kept[..., None] | ~batch.shown[:, None]
-    errors, touched = masked_errors(mae(visible, batch.kept), batch.images, hidden, mae.config.patch)
     weights = torch.where(touched, body_weight, 1.0) * hidden
     return {
         "total": (errors * weights).sum() / weights.sum(),
         "hidden": errors.sum() / hidden.sum(),
         "body": (errors * touched).sum() / touched.sum().clamp(min=1),
     }
+
+
+def mae_step(batch: Pictures, mae: MAE, body_weight: float) -> dict[str, Tensor]:
+    """``inpainting_terms`` of the MAE: of hidden patches, and everywhere of parts that are not shown."""
+    visible = batch.images * batch.shown[..., None, None]
+    hidden = ~batch.kept[..., None] | ~batch.shown[:, None]
+    return inpainting_terms(mae(visible, batch.kept), batch.images, hidden, mae.config.patch, body_weight)

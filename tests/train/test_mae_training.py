@@ -113,3 +113,35 @@ def test_baselines_by_hand():
     assert figures["mean_hidden"] == pytest.approx(0.25)
     assert figures["nearest_hidden"] == pytest.approx(1 / 3)
     assert figures["nearest_body"] == pytest.approx(1.0)
+
+
+def test_hidden_patches_without_a_body_are_no_error_on_it_for_anybody():
+    images = torch.zeros(1, 1, 16, 16)
+    images[:, :, :8, :8] = 1.0
+    kept = torch.tensor([[True, False, False, False]])
+    pictures = Pictures(images, kept, torch.ones(1, 1, dtype=torch.bool))
+    figures = measure(Oracle(images), pictures, torch.zeros(1, 16, 16), 4.0)
+    assert (figures["body"], figures["mean_body"], figures["nearest_body"]) == (0.0, 0.0, 0.0)
+
+
+class Empty(Oracle):
+    """Sees nothing anywhere."""
+
+    def __init__(self):
+        pass
+
+    def __call__(self, images, kept):
+        return torch.zeros(len(images), 4, 64)
+
+
+def test_every_patch_counts_alike_in_whichever_batch_it_is():
+    """65 pictures are two batches; the last picture, alone in its own, has two patches of a faint body."""
+    images = torch.zeros(65, 1, 16, 16)
+    images[:-1, :, :8, :8] = 1.0
+    images[-1, :, :, :8] = 0.5
+    kept = torch.tensor([[False, True, False, True]] * 65)
+    pictures = Pictures(images, kept, torch.ones(65, 1, dtype=torch.bool))
+    figures = measure(Empty(), pictures, torch.zeros(1, 16, 16), 4.0)
+    assert figures["body"] == pytest.approx((64 * 1 + 2 * 0.25) / 66)
+    assert figures["hidden"] == pytest.approx((64 * 1 + 2 * 0.25) / 130)
+    assert (figures["body"], figures["hidden"]) == (figures["mean_body"], figures["mean_hidden"])
