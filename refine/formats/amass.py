@@ -2,7 +2,9 @@
 
 On disk z is up and a standing figure whose root is turned by 90 degrees about x faces -y; inside y is up and it faces
 +z. The two frames differ by one rotation about x and nothing else, so left stays left (protocol A.5). ``trans`` is
-SMPL's translation: the pelvis joint, in the frame of the file, less its position in the T-pose.
+SMPL's translation: the pelvis joint, in the frame of the file, less its position in SMPL's own T-pose, whose origin is
+near the chest. That position is taken from SMPL's mean body whatever the body here, so that heights are those of the
+file and other programs find our pelvis where we had it.
 """
 
 import math
@@ -14,7 +16,7 @@ from torch import Tensor
 
 from refine.formats.npz import read_npz
 from refine.motion import Motion
-from renderers.checks import UserError, check_finite, check_shapes
+from renderers.checks import UserError, check_finite
 from renderers.outputs import replacing
 from renderers.rotations import axis_angle_to_matrix, matrix_to_axis_angle, rotation_about
 from renderers.skeleton import JOINT_NAMES
@@ -27,22 +29,19 @@ FINGERS = {
     156: ((22, 25, 28, 31), (37, 40, 43, 46)),
     165: ((25, 28, 31, 34), (40, 43, 46, 49)),
 }
+PELVIS = (-0.0018, -0.2233, 0.0282)  # of SMPL's mean neutral body at rest, metres
 RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
 KEYS = ("poses", "root_orient", "pose_body", "trans", "label", *RATE_KEYS)
 
 
-def read_amass(path: str | Path, rest_joints: Tensor) -> Motion:
+def read_amass(path: str | Path) -> Motion:
     """Read poses, path and frame rate.
 
     Poses are ``poses`` [T 72, 156 or 165], or ``root_orient`` [T 3] with ``pose_body`` [T 63]; the path is ``trans``.
 
-    Args:
-        rest_joints: [24 3] T-pose joints in metres of the body that the motion will be put on.
-
     Raises:
         UserError: the file is not safe to read, lacks one of these, or holds values that are not finite.
     """
-    check_shapes("read_amass", rest_joints=(rest_joints, "24 3"))
     arrays = read_npz(path, KEYS)
     axis_angles = _axis_angles(path, arrays)
     trans = _numbers(path, arrays, "trans")
@@ -56,13 +55,12 @@ def read_amass(path: str | Path, rest_joints: Tensor) -> Motion:
     rotations = axis_angle_to_matrix(torch.from_numpy(axis_angles))
     upright = _upright()
     rotations[:, 0] = upright @ rotations[:, 0]
-    root = (torch.from_numpy(trans) + rest_joints[0].detach().cpu().double()) @ upright.mT
+    root = torch.from_numpy(trans + PELVIS) @ upright.mT
     return Motion(rotations.float(), root.float(), rate, str(arrays.get("label", "")), str(path))
 
 
-def write_amass(path: str | Path, motion: Motion, rest_joints: Tensor) -> None:
+def write_amass(path: str | Path, motion: Motion) -> None:
     """Write SMPL-H's layout, 156 wide, with both spellings of the frame rate and a mean, neutral shape."""
-    check_shapes("write_amass", rest_joints=(rest_joints, "24 3"))
     upright = _upright()
     rotations = motion.rotations.detach().to("cpu", torch.float64, copy=True)
     rotations[:, 0] = upright.mT @ rotations[:, 0]
@@ -71,12 +69,12 @@ def write_amass(path: str | Path, motion: Motion, rest_joints: Tensor) -> None:
     poses[:, :BODY] = axis_angles[:, :BODY]
     for hand, fingers in enumerate(FINGERS[156], start=BODY):
         poses[:, list(fingers)] = axis_angles[:, hand, None]
-    trans = motion.root.detach().cpu().double() @ upright - rest_joints[0].detach().cpu().double()
+    trans = (motion.root.detach().cpu().double() @ upright).numpy() - PELVIS
     with replacing(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(
             stream,
             poses=poses.reshape(len(motion), -1).numpy(),
-            trans=trans.numpy(),
+            trans=trans,
             betas=np.zeros(16),
             gender=np.array("neutral"),
             label=np.array(motion.label),

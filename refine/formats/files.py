@@ -13,7 +13,7 @@ from refine.retarget import retarget
 from renderers.checks import UserError
 from renderers.outputs import refuse_existing
 
-WRITERS = {".bvh": write_bvh, ".npz": write_amass}
+WRITERS = {".bvh": write_bvh, ".npz": lambda path, motion, _rest_joints: write_amass(path, motion)}
 SUFFIXES = tuple(WRITERS)
 KNOWN = f"known are {' and '.join(SUFFIXES)}"
 
@@ -40,7 +40,7 @@ def load_motion(path: str | Path, rest_joints: Tensor) -> Motion:
     if not start.strip():
         raise UserError(path, "is empty", "give a motion file")
     if start.startswith(ZIP_MAGIC):
-        motion = read_amass(path, rest_joints)
+        motion = read_amass(path)
     elif b"HIERARCHY" in start.upper() or path.suffix.lower() == ".bvh":
         motion = retarget(read_bvh(path), rest_joints)
     else:

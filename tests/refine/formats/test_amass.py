@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import torch
 
-from refine.formats.amass import read_amass, write_amass
+from refine.formats.amass import PELVIS, read_amass, write_amass
 from refine.motion import Motion
 from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix, matrix_to_axis_angle, rotation_about
@@ -35,7 +35,7 @@ def saved(folder, arrays):
 
 
 def test_a_standing_figure_stays_upright_faces_ahead_and_keeps_its_left(tmp_path, standing, rest_joints):
-    motion = read_amass(saved(tmp_path, standing), rest_joints)
+    motion = read_amass(saved(tmp_path, standing))
     joints = motion.joints(rest_joints)
     torch.testing.assert_close(motion.rotations[:, 0], torch.eye(3).repeat(3, 1, 1), atol=1e-6, rtol=0)
     assert joints[0, JOINTS["head"], 1] > joints[0, 0, 1] + 0.4
@@ -45,42 +45,44 @@ def test_a_standing_figure_stays_upright_faces_ahead_and_keeps_its_left(tmp_path
     assert motion.fps == 120
 
 
-def test_trans_is_the_root_less_the_rest_pelvis(tmp_path, standing, rest_joints):
-    """SMPL turns about the rest pelvis and then moves by trans, all in the file's frame: joint = pelvis + trans."""
-    motion = read_amass(saved(tmp_path, standing), rest_joints)
-    on_disk = torch.from_numpy(standing["trans"][1]).float() + rest_joints[0]
-    torch.testing.assert_close(motion.root[1], torch.stack([on_disk[0], on_disk[2], -on_disk[1]]))
+def test_trans_is_the_root_less_smpls_rest_pelvis(tmp_path, standing):
+    """SMPL turns about the rest pelvis and then moves by trans, all in the file's frame: joint = pelvis + trans.
+
+    SMPL's pelvis is 2.8 cm before the origin of its T-pose (z), which for an upright figure in the file is height.
+    """
+    motion = read_amass(saved(tmp_path, standing))
+    torch.testing.assert_close(motion.root[1], torch.tensor([-0.0018, 1.0282, 0.5 + 0.2233]))
 
 
 def test_joints_are_the_file_s_joints_turned_once(tmp_path, motion, rest_joints):
     """What an AMASS reader computes from our file, turned upright, is our joints."""
-    write_amass(tmp_path / "a.npz", motion, rest_joints)
+    write_amass(tmp_path / "a.npz", motion)
     with np.load(tmp_path / "a.npz") as arrays:
         body = torch.from_numpy(arrays["poses"][:, :66]).float().reshape(-1, 22, 3)
         rotations = torch.cat([axis_angle_to_matrix(body), motion.rotations[:, 22:]], dim=1)
-        root = torch.from_numpy(arrays["trans"]).float() + rest_joints[0]
+        root = torch.from_numpy(arrays["trans"] + PELVIS).float()
     joints = forward_kinematics(rotations, root, rest_joints)[0]
     upright = rotation_about("x", torch.tensor(-math.pi / 2))
     torch.testing.assert_close(joints @ upright.mT, motion.joints(rest_joints), atol=1e-5, rtol=0)
 
 
-def test_round_trip(tmp_path, motion, rest_joints):
-    write_amass(tmp_path / "new" / "a.npz", motion, rest_joints)
-    back = read_amass(tmp_path / "new" / "a.npz", rest_joints)
+def test_round_trip(tmp_path, motion):
+    write_amass(tmp_path / "new" / "a.npz", motion)
+    back = read_amass(tmp_path / "new" / "a.npz")
     assert (back.fps, back.label, back.source) == (29.97, "wave-both-hands", str(tmp_path / "new" / "a.npz"))
     torch.testing.assert_close(back.rotations, motion.rotations, atol=1e-6, rtol=0)
     torch.testing.assert_close(back.root, motion.root, atol=1e-6, rtol=0)
 
 
-def test_writing_leaves_the_motion_alone(tmp_path, motion, rest_joints):
+def test_writing_leaves_the_motion_alone(tmp_path, motion):
     double = motion.to(torch.float64)
     before = double.rotations.clone()
-    write_amass(tmp_path / "a.npz", double, rest_joints)
+    write_amass(tmp_path / "a.npz", double)
     assert torch.equal(double.rotations, before)
 
 
-def test_the_layout_is_smpl_h(tmp_path, motion, rest_joints):
-    write_amass(tmp_path / "a.npz", motion, rest_joints)
+def test_the_layout_is_smpl_h(tmp_path, motion):
+    write_amass(tmp_path / "a.npz", motion)
     with np.load(tmp_path / "a.npz") as arrays:
         assert arrays["poses"].shape == (7, 156) and arrays["trans"].shape == (7, 3)
         assert arrays["betas"].tolist() == [0] * 16 and str(arrays["gender"]) == "neutral"
@@ -91,16 +93,16 @@ def test_the_layout_is_smpl_h(tmp_path, motion, rest_joints):
 
 
 @pytest.mark.parametrize("width", [72, 156, 165])
-def test_widths_share_their_body(tmp_path, standing, width, rest_joints):
-    expected = read_amass(saved(tmp_path, standing), rest_joints).rotations
+def test_widths_share_their_body(tmp_path, standing, width):
+    expected = read_amass(saved(tmp_path, standing)).rotations
     poses = np.zeros((3, width))
     poses[:, :66] = standing["poses"][:, :66]
-    back = read_amass(saved(tmp_path, {**standing, "poses": poses}), rest_joints)
+    back = read_amass(saved(tmp_path, {**standing, "poses": poses}))
     torch.testing.assert_close(back.rotations, expected)
 
 
-def test_smpl_x_spelling(tmp_path, standing, rest_joints):
-    expected = read_amass(saved(tmp_path, standing), rest_joints)
+def test_smpl_x_spelling(tmp_path, standing):
+    expected = read_amass(saved(tmp_path, standing))
     arrays = {
         "root_orient": standing["poses"][:, :3],
         "pose_body": standing["poses"][:, 3:66],
@@ -108,7 +110,7 @@ def test_smpl_x_spelling(tmp_path, standing, rest_joints):
         "mocap_frame_rate": np.array(60.0),
         "markers_latent_vids": np.array([{}]),  # such files hold objects that we do not need
     }
-    back = read_amass(saved(tmp_path, arrays), rest_joints)
+    back = read_amass(saved(tmp_path, arrays))
     assert back.fps == 60
     torch.testing.assert_close(back.rotations, expected.rotations)
 
@@ -138,7 +140,7 @@ def without(*keys):
         (changed(poses=np.zeros((0, 72)), trans=np.zeros((0, 3))), "has no frames"),
     ],
 )
-def test_bad_files_are_one_line(tmp_path, standing, change, message, rest_joints):
+def test_bad_files_are_one_line(tmp_path, standing, change, message):
     with pytest.raises(UserError, match=message) as caught:
-        read_amass(saved(tmp_path, change(standing)), rest_joints)
+        read_amass(saved(tmp_path, change(standing)))
     assert "clip.npz" in str(caught.value) and "\n" not in str(caught.value)
