@@ -10,9 +10,10 @@ from refine.energies import EnergySpace, energy_signal, joint_energies
 from refine.motion import Motion, from_features, to_features
 from renderers.checks import UserError, check_shapes
 from renderers.rotations import matrix_from_6d, matrix_to_6d
-from renderers.skeleton import PARENTS, forward_kinematics
+from renderers.skeleton import JOINTS, PARENTS, forward_kinematics
 
 EPSILON = 1e-8
+HIPS = [JOINTS["left_hip"], JOINTS["right_hip"]]  # each has the weight of its leg
 
 
 @dataclass(frozen=True)
@@ -55,9 +56,10 @@ def coupling_weights(energies_i: Tensor, energies_j: Tensor, lam: Tensor | float
         lam: scalar or [...].
 
     Returns:
-        [... 24] in 0..1. Where neither moves it is ``lam``. Joint 0 stands for the root.
+        [... 24] in 0..1. Where neither moves it is ``lam``. Joint 0 stands for the root: the mean weight of the two
+        legs, or who has more of it (protocol B.4 no. 8).
     """
-    check_shapes("coupling_weights", energies_i=(energies_i, "... J"), energies_j=(energies_j, "... J"))
+    check_shapes("coupling_weights", energies_i=(energies_i, "... 24"), energies_j=(energies_j, "... 24"))
     lam = torch.as_tensor(lam, dtype=energies_i.dtype, device=energies_i.device)[..., None]
     if not config.mask:
         energies_i, energies_j = torch.ones_like(energies_i), torch.ones_like(energies_j)
@@ -66,10 +68,10 @@ def coupling_weights(energies_i: Tensor, energies_j: Tensor, lam: Tensor | float
         energies_j = energies_j / (energies_j.sum(-1, keepdim=True) + EPSILON)
     of_i, of_j = lam * (energies_i + EPSILON), (1 - lam) * (energies_j + EPSILON)
     weights = of_i / (of_i + of_j)
+    root = weights[..., HIPS].mean(-1, keepdim=True)
     if config.root == "legs_owner" and config.mask:
-        owner = (torch.sign(of_i[..., :1] - of_j[..., :1]) + 1) / 2
-        weights = torch.cat([owner, weights[..., 1:]], dim=-1)
-    return weights
+        root = (torch.sign(root - 0.5) + 1) / 2
+    return torch.cat([root, weights[..., 1:]], dim=-1)
 
 
 def blend(

@@ -77,6 +77,17 @@ def test_switches():
     assert torch.allclose(coupling_weights(of_i, of_j, 0.3, CouplingConfig(mask=False)), torch.tensor(0.3))
 
 
+def test_the_root_has_the_mean_weight_of_the_legs():
+    """Protocol B.4 no. 8: the weights are averaged, not the energies, or one wild leg would own the whole body."""
+    of_i, of_j = torch.ones(24), torch.ones(24)
+    of_i[list(PARTS["left_leg"])], of_j[list(PARTS["right_leg"])] = 9.0, 99.0
+    of_i[0], of_j[0] = 5.0, 50.0
+    weights = coupling_weights(of_i, of_j, 0.5, CONFIG)
+    assert float(weights[0]) == pytest.approx((0.9 + 0.01) / 2)
+    of_i[0], of_j[0] = 500.0, 50.0  # the root's own energy has no say
+    assert coupling_weights(of_i, of_j, 0.5, CouplingConfig())[0] == 0
+
+
 def test_root_belongs_wholly_to_the_owner_of_the_legs(rest_joints):
     i, j = clip(0), clip(1)
     coupled = couple(i, j, rest_joints)
