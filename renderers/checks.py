@@ -75,7 +75,11 @@ def check_finite(
     Raises:
         UserError: naming the index along every axis of the first value that is not finite.
     """
-    array = np.asarray(values.detach().cpu() if hasattr(values, "detach") else values)
+    if hasattr(values, "detach"):
+        if values.isfinite().all():  # asked where the values are: a copy from a GPU for every picture would be dear
+            return
+        values = values.detach().cpu()
+    array = np.asarray(values)
     bad = ~np.isfinite(array)
     if not bad.any():
         return

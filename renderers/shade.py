@@ -58,10 +58,10 @@ def shade(
     check_shapes("shade", vertices=(vertices, "N V 3"), faces=(faces, "F 3"), colours=(colours, "V 3"))
     light = light or Light()
     vertices, faces, colours = vertices.detach().cpu().float(), faces.cpu(), colours.cpu().float()
+    camera = camera.to("cpu", torch.float32)
     normals = _vertex_normals(vertices, faces)
-    rotation, translation = camera.rotation.detach().cpu().float(), camera.translation.detach().cpu().float()
-    depth = (vertices @ rotation.mT + translation[:, None])[..., 2]
-    points = camera.project(vertices).detach() * FINER
+    depth = (vertices @ camera.rotation.mT + camera.translation[:, None])[..., 2]
+    points = camera.project(vertices) * FINER
     fine = (camera.size[0] * FINER, camera.size[1] * FINER)
 
     pictures = []
@@ -71,7 +71,7 @@ def shade(
         seen, weights = _nearest_faces(points[index].numpy(), depth[index].numpy(), faces.numpy(), fine)
         hit = torch.from_numpy(seen >= 0)
         corners, mix = faces[torch.from_numpy(seen)[hit]], torch.from_numpy(weights)[hit][..., None]
-        normal = normalize((normals[index][corners] * mix).sum(1) @ rotation[view].T, dim=-1)
+        normal = normalize((normals[index][corners] * mix).sum(1) @ camera.rotation[view].T, dim=-1)
         painted = torch.zeros(*fine, 4)
         painted[hit] = torch.cat([_lit((colours[corners] * mix).sum(1), normal, light), torch.ones(len(normal), 1)], 1)
         coarse = avg_pool2d(painted.permute(2, 0, 1), FINER)
@@ -161,7 +161,7 @@ def _floor_points(camera: Camera, view: int, centre: Tensor) -> Tensor | None:
 
     square = torch.tensor([[-1.0, -1.0], [1.0, -1.0], [1.0, 1.0], [-1.0, 1.0]]) + centre
     on_floor = torch.stack([square[:, 0], torch.zeros(4), square[:, 1]], dim=-1)
-    pixels = camera.project(on_floor.expand(len(camera), 4, 3))[view].detach().cpu()
+    pixels = camera.project(on_floor.expand(len(camera), 4, 3))[view]
     across, along = pixels[1] - pixels[0], pixels[3] - pixels[0]
     height, width = camera.size
     if (across[0] * along[1] - across[1] * along[0]).abs() < 1e-4 * height * width:

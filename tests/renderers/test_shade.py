@@ -104,3 +104,10 @@ def test_every_frame_has_its_own_camera():
         alone = shade(wall(0.0)[None], FACES, torch.full((4, 3), 0.5), cameras[index : index + 1])[0]
         assert torch.allclose(both[index], alone, atol=1e-6)
     assert (both[0] - both[1]).abs().max() > 0.3
+
+
+def test_a_camera_and_a_body_of_double_precision_are_drawn_alike():
+    colours, camera = torch.full((4, 3), 0.5), view(elevation=0.3)
+    single = shade(wall(0.0)[None], FACES, colours, camera)
+    double = shade(wall(0.0)[None].double(), FACES, colours.double(), camera.to(dtype=torch.float64))
+    assert double.dtype == torch.float32 and torch.allclose(double, single, atol=1e-5)
