@@ -63,9 +63,9 @@ class _Dtype:
     """``numpy.dtype``, for numbers and text only."""
 
     def __init__(self, code: str, align: bool = False, copy: bool = False):
-        if code.lstrip("<>|=")[:1] not in NUMBERS:
-            raise _Refused(f"holds an array of type {code!r}, which is never loaded")
         self.dtype = np.dtype(code)
+        if self.dtype.kind not in NUMBERS:
+            raise _Refused(f"holds an array of type {code!r}, which is never loaded")
 
     def __setstate__(self, state: tuple):
         self.dtype = self.dtype.newbyteorder(state[1])

@@ -102,6 +102,12 @@ def test_arrays_of_objects_are_refused(written):
         read_pickle(written(pickle.dumps(np.array([{}, []], dtype=object))))
 
 
+@pytest.mark.parametrize("code", ["i4,O", "f8,V3", "M8"])
+def test_a_type_that_only_begins_like_a_number_is_refused(written, code):
+    with pytest.raises(UserError, match=f"holds an array of type '{code}'"):
+        read_pickle(written(f"cnumpy\ndtype\n(S'{code}'\ntR.".encode()))
+
+
 def test_an_array_larger_than_its_bytes_is_refused(written):
     content = pickle.dumps(np.zeros(3), protocol=2).replace(b"K\x03\x85", b"J\xff\xff\xff\x7f\x85")
     with pytest.raises(UserError, match=r"claims shape \[2147483647\], but has 24 bytes"):
