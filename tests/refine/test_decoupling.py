@@ -13,7 +13,7 @@ from renderers.body import Body
 from renderers.checks import ShapeError, UserError
 from renderers.rotations import axis_angle_to_matrix, rotation_about
 from renderers.silhouette import blur
-from renderers.skeleton import JOINTS
+from renderers.skeleton import DRAWN_PART_NAMES, JOINTS
 
 PLAIN = replace(PAPER, pinned="frame")
 FRAMES = torch.tensor([[0, 3], [2, 5]])
@@ -150,6 +150,16 @@ def test_what_the_other_action_owns_does_not_count(body, mae):
     one, other = (decoupler(clips(0, moving), *subs, FRAMES).sides for moving in ([], ["right_elbow"]))
     assert torch.allclose(one[0].loss, other[0].loss, rtol=1e-4)
     assert not torch.allclose(one[1].loss, other[1].loss, rtol=1e-2)
+
+
+def test_the_inpainter_sees_no_part_that_the_other_action_owns(body, mae):
+    images = []
+    hook = mae.register_forward_pre_hook(lambda _, inputs: images.append(inputs[0]))
+    subs = clips(1, ["left_shoulder"]), clips(2, ["right_shoulder"])
+    Decoupler(body, mae, replace(PLAIN, ownership="share"))(clips(0), *subs, FRAMES)
+    hook.remove()
+    arms = [DRAWN_PART_NAMES.index(name) for name in ("left_arm", "right_arm")]
+    assert [(shown[:, arms].amax((0, 2, 3)) > 0).tolist() for shown in images] == [[True, False], [False, True]]
 
 
 def test_kept_patches_lie_where_the_action_moves(body, mae):
