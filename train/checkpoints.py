@@ -109,7 +109,7 @@ def load_state(path: Path, model: nn.Module, optimiser: torch.optim.Optimizer) -
     Raises:
         UserError: the file is missing, damaged, or belongs to another model.
     """
-    remedy = "start the run again without --resume"
+    remedy = "start again in another folder with --out"
     tensors, header = read_tensors(path, remedy)
     try:
         model.load_state_dict(under(tensors, "model"))

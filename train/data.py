@@ -91,14 +91,14 @@ def perform_all(config: DataConfig, rest_joints: Tensor) -> list[Motion]:
 
 
 def split(motions: list[Motion], held_out: float, seed: int) -> tuple[list[Motion], list[Motion]]:
-    """Clips to train on and clips to measure on. Of each action at least one is held out where it has two or more; an
-    action with a single clip is measured on what it is trained on, for want of another."""
+    """Clips to train on and clips to measure on. Of each action at least one goes to either side where it has two or
+    more; an action with a single clip is measured on what it is trained on, for want of another."""
     random = torch.Generator().manual_seed(seed)
     by_label = group(motions)
     train, test = [], []
     for clips in by_label.values():
         order = [clips[index] for index in torch.randperm(len(clips), generator=random).tolist()]
-        count = max(1, round(held_out * len(clips))) if len(clips) > 1 else 0
+        count = min(max(1, round(held_out * len(clips))), len(clips) - 1)
         train += order[count:]
         test += order[:count] or order
     return train, test

@@ -25,6 +25,9 @@ from train.curves import draw_curves
 Losses = Callable[[int, torch.Generator], dict[str, Tensor]]
 """(step, random) -> scalar terms; ``"total"`` is the one that is minimised."""
 
+MAY_CHANGE = {"steps", "log_every", "save_every", "device", "out", "resume"}
+"""Names of values that a resumed run may be given anew."""
+
 
 @dataclass(frozen=True)
 class LoopConfig:
@@ -94,7 +97,9 @@ def fit(
         model.parameters(), config.learning_rate, betas=config.betas, weight_decay=config.weight_decay
     )
     state, log = folder / "state.safetensors", folder / "log.jsonl"
-    progress = load_state(state, model, optimiser) if resume else {"step": 0, "best": math.inf}
+    # A run that was killed before its first checkpoint has no weights yet and goes on from its first step.
+    begun = resume and (folder / "last.safetensors").exists()
+    progress = load_state(state, model, optimiser) if begun else {"step": 0, "best": math.inf}
     keep_rows(log, progress["step"])
     random, started, first = torch.Generator(), time.monotonic(), progress["step"]
     with torch.random.fork_rng(), log.open("a") as lines:
@@ -171,7 +176,8 @@ def open_run(folder: Path, config: Any, resume: bool):
     """Make the run folder and write its resolved configuration.
 
     Raises:
-        UserError: the folder holds a run and ``resume`` is not asked for, or the other way round; or it is a file.
+        UserError: the folder holds a run and ``resume`` is not asked for, or the other way round; or it holds a run of
+            another configuration; or it is a file.
     """
     if folder.exists() and not folder.is_dir():
         raise UserError(folder, "is a file", "give a folder with --out")
@@ -180,5 +186,29 @@ def open_run(folder: Path, config: Any, resume: bool):
         raise UserError(folder, "already holds a run", "go on with --resume, or choose another folder with --out")
     if resume and not held:
         raise UserError(folder, "holds no run to resume", "start it without --resume")
+    if resume:
+        refuse_changes(folder / "config.json", config)
     folder.mkdir(parents=True, exist_ok=True)
     replace_file(folder / "config.json", to_json(config))
+
+
+def refuse_changes(stored: Path, config: Any):
+    """Refuse to go on with a run under another configuration, but for how long it is and what it writes where."""
+    try:
+        before, now = (leaves(json.loads(content)) for content in (stored.read_bytes(), to_json(config)))
+    except (ValueError, AttributeError) as error:
+        raise UserError(stored, f"is no configuration ({error})", "start again in another folder with --out") from error
+    changed = sorted(
+        name for name in before | now if name.split(".")[-1] not in MAY_CHANGE and before.get(name) != now.get(name)
+    )
+    if changed:
+        was = ", ".join(f"{name} was {before.get(name)} and is {now.get(name)}" for name in changed)
+        raise UserError(stored, f"is of another run: {was}", "give the same, or choose another folder with --out")
+
+
+def leaves(tree: dict[str, Any], prefix: str = "") -> dict[str, Any]:
+    """Nested dictionaries as one, its keys joined by dots."""
+    flat = {}
+    for name, value in tree.items():
+        flat |= leaves(value, f"{prefix}{name}.") if isinstance(value, dict) else {f"{prefix}{name}": value}
+    return flat

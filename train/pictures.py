@@ -18,6 +18,7 @@ from refine.motion import Motion
 from refine.patches import keep_random, keep_top, patch_means
 from renderers.body import Body
 from renderers.camera import frame
+from renderers.checks import UserError
 from renderers.mesh import Mesh
 from renderers.rotations import rotation_about
 from renderers.silhouette import silhouette
@@ -61,13 +62,21 @@ class Pictures(NamedTuple):
 
 
 def poses_of(motions: list[Motion], rest_joints: Tensor, pinned: str) -> Poses:
-    """All frames of clips of two frames or more."""
+    """All frames of clips of two frames or more.
+
+    Raises:
+        UserError: there are none.
+    """
     parts = []
     for motion in motions:
         if len(motion) > 1:
             clip = pin(Clips(motion.rotations[None], motion.root[None]), pinned)
             energies = joint_energies(energy_signal(motion.rotations, motion.root, rest_joints))
             parts.append(Poses(clip.rotations[0], clip.root[0], energies.expand(len(motion), -1)))
+    if not parts:
+        raise UserError(
+            "poses", "every clip is a single frame, which has no energy", "give clips of two frames or more"
+        )
     return Poses(*(torch.cat(values) for values in zip(*parts, strict=True)))
 
 

@@ -145,6 +145,15 @@ def test_split_holds_out_clips_of_every_action():
     assert [motion.source for motion in split(motions, 0.2, 1)[1]] != [motion.source for motion in test]
 
 
+@pytest.mark.parametrize("held_out", [0.0, 0.9, 1.0])
+def test_both_sides_of_a_split_know_every_action(held_out):
+    """A label's number is its place among the labels, so the two sides must have the same ones."""
+    motions = [clip(3, name, seed) for name in ("walk", "wave") for seed in range(3)]
+    train, test = (group(side) for side in split(motions, held_out, 0))
+    assert list(train) == list(test) == ["walk", "wave"]
+    assert {len(train[name]) + len(test[name]) for name in train} == {3}
+
+
 def test_clips_of_a_file_are_chosen_by_label_and_resampled(tmp_path):
     save_clips(tmp_path / "clips.npz", [clip(21, "walk", 0, 60.0), clip(9, "wave"), clip(9, "squat")])
     loaded = load_clips_for(DataConfig(source=str(tmp_path / "clips.npz"), actions=("walk", "wave")), REST)

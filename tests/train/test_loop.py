@@ -2,7 +2,7 @@
 
 import json
 import math
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import pytest
 import torch
@@ -167,6 +167,73 @@ def test_open_run_refuses_what_would_be_lost(tmp_path):
     (tmp_path / "file").write_text("")
     with pytest.raises(UserError, match="is a file"):
         open_run(tmp_path / "file", LoopConfig(), resume=False)
+
+
+@dataclass(frozen=True)
+class Whole:
+    """A run's configuration in small."""
+
+    out: str = "run"
+    loop: LoopConfig = field(default_factory=LoopConfig)
+    actions: tuple[str, ...] = ("walk",)
+    batch: int = 4
+    device: str = "cpu"
+    resume: bool = False
+
+
+def test_a_run_is_not_resumed_under_another_configuration(tmp_path):
+    begun = Whole()
+    open_run(tmp_path, begun, resume=False)
+    stored = (tmp_path / "config.json").read_bytes()
+    changed = replace(begun, batch=8, actions=("walk", "run"), loop=LoopConfig(steps=7, learning_rate=1e-3))
+    with pytest.raises(UserError) as caught:
+        open_run(tmp_path, changed, resume=True)
+    assert str(caught.value) == (
+        f"{tmp_path / 'config.json'}: is of another run: actions was ['walk'] and is ['walk', 'run'], batch was 4 and "
+        "is 8, loop.learning_rate was 0.0001 and is 0.001; give the same, or choose another folder with --out"
+    )
+    assert (tmp_path / "config.json").read_bytes() == stored
+
+
+def test_a_resumed_run_may_be_longer_elsewhere_and_write_otherwise(tmp_path):
+    open_run(tmp_path, Whole(), resume=False)
+    longer = LoopConfig(steps=9000, log_every=7, save_every=70)
+    open_run(tmp_path, Whole(out="moved", loop=longer, device="cuda", resume=True), resume=True)
+    assert json.loads((tmp_path / "config.json").read_text())["loop"]["steps"] == 9000
+
+
+def test_a_run_of_a_version_with_other_values_is_not_resumed(tmp_path):
+    open_run(tmp_path, Whole(), resume=False)
+    stored = json.loads((tmp_path / "config.json").read_text())
+    del stored["batch"]
+    (tmp_path / "config.json").write_text(json.dumps(stored))
+    with pytest.raises(UserError, match="batch was None and is 4"):
+        open_run(tmp_path, Whole(), resume=True)
+
+
+@pytest.mark.parametrize("content", [b"", b"{", b"[]", b"\xff\xfe"])
+def test_a_damaged_configuration_is_refused(tmp_path, content):
+    (tmp_path / "config.json").write_bytes(content)
+    with pytest.raises(UserError, match="is no configuration .*start again in another folder") as caught:
+        open_run(tmp_path, Whole(), resume=True)
+    assert "\n" not in str(caught.value)
+
+
+def test_a_run_killed_before_its_first_checkpoint_is_resumed_from_the_start(tmp_path):
+    run(tmp_path / "whole", 10)
+    (tmp_path / "broken").mkdir()
+    (tmp_path / "broken" / "log.jsonl").write_text('{"step": 0, "error": 7.0}\n{"step": 1, "err')
+    run(tmp_path / "broken", 10, resume=True)
+    assert terms(tmp_path / "broken") == terms(tmp_path / "whole")
+
+
+def test_a_run_that_lost_its_state_is_not_trained_over(tmp_path):
+    run(tmp_path / "run", 5)
+    (tmp_path / "run" / "state.safetensors").unlink()
+    weights = (tmp_path / "run" / "best.safetensors").read_bytes()
+    with pytest.raises(UserError, match="state.safetensors: no such file; start again in another folder with --out"):
+        run(tmp_path / "run", 10, resume=True)
+    assert (tmp_path / "run" / "best.safetensors").read_bytes() == weights
 
 
 def test_seeds_differ_by_every_key():

@@ -9,6 +9,7 @@ from refine.decoupling import Clips, Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
 from renderers.body import Body
+from renderers.checks import UserError
 from renderers.mesh import Mesh
 from renderers.rotations import axis_angle_to_matrix
 from train.pictures import PictureConfig, Poses, draw_pictures, poses_of, show_parts
@@ -92,6 +93,12 @@ def test_energies_are_those_of_the_clip(body, waving):
 def test_single_frames_have_no_energy_and_are_left_out(body, waving):
     single = Motion(waving.rotations[:1], waving.root[:1], 30.0)
     assert len(poses_of([single, waving], body.rest_joints, "frame").root) == 6
+
+
+def test_clips_of_single_frames_alone_are_refused(body, waving):
+    single = Motion(waving.rotations[:1], waving.root[:1], 30.0)
+    with pytest.raises(UserError, match="every clip is a single frame"):
+        poses_of([single, single], body.rest_joints, "frame")
 
 
 def test_some_pictures_lack_parts_but_never_all():
