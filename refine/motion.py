@@ -76,7 +76,7 @@ def resample(motion: Motion, fps: float) -> Motion:
         raise UserError("resample(fps)", f"expected a positive frame rate, got {fps}")
     if fps == motion.fps or len(motion) == 1:
         return replace(motion, fps=fps)
-    frames = max(2, int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1)
+    frames = int((len(motion) - 1) * fps / motion.fps + 1e-6) + 1
     at = (torch.arange(frames, dtype=torch.float64) * (motion.fps / fps)).clamp(max=len(motion) - 1)
     low = at.floor().long().clamp(max=len(motion) - 2)
     weight = (at - low).to(motion.root)

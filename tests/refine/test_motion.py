@@ -86,6 +86,11 @@ def test_resample_never_runs_past_the_end(motion, fps):
     assert (len(other) - 1) / fps > (len(motion) - 1) / motion.fps - 1 / fps - 1e-9
 
 
+def test_resample_of_less_than_a_frame_s_time_is_one_frame(motion):
+    short = resample(crop(motion, 4, 6), 10.0)
+    assert torch.equal(short.root, motion.root[4:5])
+
+
 def test_resample_one_frame(motion):
     one = resample(crop(motion, 4, 5), 60.0)
     assert torch.equal(one.root, motion.root[4:5]) and one.fps == 60.0
