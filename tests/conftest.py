@@ -1,4 +1,4 @@
-"""Shared fixtures: real clips where they are, and one thread count so that timings and sums repeat."""
+"""Shared fixtures: real clips where they are, a seeded generator, the free body's T-pose joints."""
 
 import os
 import zipfile

@@ -76,6 +76,11 @@ def test_label_weights_mix_and_sum_to_one():
     torch.testing.assert_close(weights, torch.tensor([[0.3, 0.7, 0.0], [0.0, 0.0, 1.0]]))
 
 
+def test_labels_and_lambda_change_sides_together():
+    i, j, lam = torch.tensor([0, 2]), torch.tensor([1, 2]), torch.tensor([0.3, 0.8])
+    torch.testing.assert_close(label_weights(i, j, lam, 3), label_weights(j, i, 1 - lam, 3))
+
+
 def test_permuting_the_batch_permutes_the_output(small, features):
     order = torch.tensor([2, 0, 3, 1])
     weights = torch.eye(3)[[0, 1, 2, 0]]
