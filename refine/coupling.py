@@ -117,15 +117,21 @@ def point_bones(rotations: Tensor, joints: Tensor, rest_joints: Tensor) -> Tenso
 
 
 def shortest_arc(start: Tensor, end: Tensor) -> Tensor:
-    """[... 3], [... 3] -> [... 3 3] the smallest rotation that turns the direction ``start`` into ``end``."""
+    """[... 3], [... 3] -> [... 3 3] the smallest rotation that turns the direction ``start`` into ``end``.
+
+    Half a turn about ``start``, then half a turn about the middle of both: a rotation however near to opposite they
+    are. Exactly opposite directions, or one without length, give the identity.
+    """
     start = torch.nn.functional.normalize(start, dim=-1)
-    end = torch.nn.functional.normalize(end, dim=-1)
-    axis = torch.linalg.cross(start, end)
-    zero = torch.zeros_like(axis[..., 0])
-    x, y, z = axis.unbind(-1)
-    skew = torch.stack([zero, -z, y, z, zero, -x, -y, x, zero], dim=-1).reshape(*axis.shape[:-1], 3, 3)
-    cos = (start * end).sum(-1)[..., None, None]
-    return torch.eye(3).to(start) + skew + skew @ skew / (1 + cos).clamp(min=1e-6)
+    between = start + torch.nn.functional.normalize(end, dim=-1)
+    length = between.norm(dim=-1, keepdim=True)
+    middle = torch.where(length > 1e-6, between / length.clamp(min=1e-6), start)
+    return half_turn(middle) @ half_turn(start)
+
+
+def half_turn(axis: Tensor) -> Tensor:
+    """The rotation by pi [... 3 3] about a unit axis [... 3]."""
+    return 2 * axis[..., :, None] * axis[..., None, :] - torch.eye(3).to(axis)
 
 
 def couple(

@@ -1,5 +1,6 @@
 """Eqs. 1 and 3 against protocol G.3 to G.5."""
 
+import math
 from dataclasses import replace
 
 import pytest
@@ -131,6 +132,17 @@ def test_shortest_arc(generator):
     start, end = torch.randn(2, 50, 3, generator=generator, dtype=torch.float64)
     turned = (shortest_arc(start, end) @ start[..., None])[..., 0]
     assert torch.allclose(turned / turned.norm(dim=-1, keepdim=True), end / end.norm(dim=-1, keepdim=True))
+
+
+@pytest.mark.parametrize("short_of_opposite", [0.0, 1e-4, 1e-3, 3e-3, 0.1])
+def test_shortest_arc_is_a_rotation_near_opposite_directions(short_of_opposite):
+    angle = torch.tensor(math.pi - short_of_opposite)
+    start, end = torch.tensor([1.0, 0.0, 0.0]), torch.stack([angle.cos(), angle.sin(), torch.tensor(0.0)])
+    turn = shortest_arc(start, end)
+    torch.testing.assert_close(turn @ turn.mT, torch.eye(3), atol=1e-5, rtol=0)
+    assert torch.linalg.det(turn) > 0.99
+    if short_of_opposite:
+        torch.testing.assert_close(turn @ start, end, atol=2e-3, rtol=0)
 
 
 def test_the_calm_part_goes_to_the_action_that_moves_it(rest_joints):
