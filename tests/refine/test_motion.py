@@ -91,6 +91,12 @@ def test_resample_of_less_than_a_frame_s_time_is_one_frame(motion):
     assert torch.equal(short.root, motion.root[4:5])
 
 
+def test_a_rounding_error_costs_no_frame():
+    """55 frames at 29.97 are 44 at 23.976; in floating point a hair less."""
+    film = Motion(torch.eye(3).repeat(56, 24, 1, 1), torch.zeros(56, 3), 29.97)
+    assert 55 * 23.976 / 29.97 < 44 and len(resample(film, 23.976)) == 45
+
+
 def test_resample_one_frame(motion):
     one = resample(crop(motion, 4, 5), 60.0)
     assert torch.equal(one.root, motion.root[4:5]) and one.fps == 60.0

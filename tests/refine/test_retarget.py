@@ -219,6 +219,15 @@ def test_a_rest_pose_that_is_not_a_t_pose(generator, rest_joints):
     assert (copied[:, wrist] - joints[:, wrist]).norm(dim=-1).min() > 0.2
 
 
+def test_the_floor_is_below_a_body_that_never_stands(rest_joints):
+    """Without a planted sole the floor is under the lowest tenth of the frames."""
+    skeleton = replace(SMPL, grounded=True)
+    root = torch.stack([torch.zeros(11), torch.linspace(2.0, 3.0, 11), torch.arange(11.0)], dim=1)
+    flying = Motion(torch.eye(3).repeat(11, 24, 1, 1), root, 30.0)
+    heights = retarget(motion_to_bvh(flying, rest_joints), rest_joints, skeleton).root[:, 1] - rest_joints[0, 1]
+    torch.testing.assert_close(heights, torch.linspace(-0.1, 0.9, 11), atol=1e-4, rtol=0)
+
+
 def test_one_frame_is_enough(rest_joints):
     one = Motion(torch.eye(3).repeat(1, 24, 1, 1), torch.zeros(1, 3), 30.0)
     assert len(retarget(motion_to_bvh(one, rest_joints), rest_joints)) == 1

@@ -101,6 +101,15 @@ def test_widths_share_their_body(tmp_path, standing, width):
     torch.testing.assert_close(back.rotations, expected)
 
 
+@pytest.mark.parametrize(("width", "middle"), [(72, (22, 23)), (156, (25, 40)), (165, (28, 43))])
+def test_a_hand_turns_as_its_middle_finger(tmp_path, standing, width, middle):
+    poses = np.zeros((3, width))
+    for joint, angle in zip(middle, (0.4, -0.7), strict=True):
+        poses[:, 3 * joint] = angle
+    hands = read_amass(saved(tmp_path, {**standing, "poses": poses})).rotations[0, [22, 23]]
+    torch.testing.assert_close(hands, rotation_about("x", torch.tensor([0.4, -0.7])))
+
+
 def test_smpl_x_spelling(tmp_path, standing):
     expected = read_amass(saved(tmp_path, standing))
     arrays = {
