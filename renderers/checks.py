@@ -16,8 +16,11 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
-class UserError(ValueError):
-    """Something the user can mend: one line on stderr, exit code 2."""
+class UserError(Exception):
+    """Something the user can mend: one line on stderr, exit code 2.
+
+    Not a ValueError: parsers of flags and files catch those, and would reword it.
+    """
 
     def __init__(self, where: str | Path, problem: str, remedy: str = ""):
         self.where, self.problem, self.remedy = str(where), problem, remedy

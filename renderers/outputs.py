@@ -9,17 +9,39 @@ from pathlib import Path
 from renderers.checks import UserError
 
 
-def refuse_existing(path: str | Path, force: bool = False) -> None:
-    """Refuse an output that is already there: a file, or a folder with something in it.
+def refuse_existing(path: str | Path, force: bool = False, folder: bool = False) -> None:
+    """Refuse, before any work is done, an output that is already there or could not be written after it.
+
+    Args:
+        force: a file may replace a file, and a folder a folder.
+        folder: the output is a folder; one that is empty counts as not there.
 
     Raises:
-        UserError: it is there and ``force`` is not set, or it is a folder where a file is asked for with ``force``.
+        UserError: the output is there and ``force`` is not set, a file stands where a folder is needed or the other way
+            round, nothing may be written there, or the path ends in no name (".").
     """
     path = Path(path)
-    if path.is_dir() and not any(path.iterdir()):
-        return
-    if path.exists() and not force:
-        raise UserError(path, "is already there", "choose another name or pass --force to replace it")
+    if not path.name or path.name == "..":
+        raise UserError(path, "is no name for an output", f"name a new {'folder' if folder else 'file'}")
+    if path.exists():
+        if path.is_dir() != folder:
+            raise UserError(path, "is a file" if folder else "is a folder", "choose another name")
+        if not force and not (folder and not any(path.iterdir())):
+            raise UserError(path, "is already there", "choose another name or pass --force to replace it")
+    check_place(path)
+
+
+def check_place(path: str | Path) -> None:
+    """Refuse a path beside which nothing can be written; missing folders on the way are no obstacle.
+
+    Raises:
+        UserError: naming what is in the way.
+    """
+    nearest = next(parent for parent in Path(path).absolute().parents if parent.exists())
+    if not nearest.is_dir():
+        raise UserError(path, f"cannot be written ({nearest} is a file)", "choose another place")
+    if not os.access(nearest, os.W_OK | os.X_OK):
+        raise UserError(path, f"cannot be written (no permission to write in {nearest})", "choose another place")
 
 
 @contextmanager

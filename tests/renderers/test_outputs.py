@@ -52,8 +52,30 @@ def test_what_is_there_is_refused_without_force(tmp_path):
     (tmp_path / "full").mkdir()
     (tmp_path / "full" / "a.txt").write_text("")
     for free in ("none", "empty"):
-        refuse_existing(tmp_path / free)
-    for taken in ("full", "full/a.txt"):
+        refuse_existing(tmp_path / free, folder=True)
+    for taken, folder in (("full", True), ("full/a.txt", False)):
         with pytest.raises(UserError, match="is already there; choose another name or pass --force"):
-            refuse_existing(tmp_path / taken)
-        refuse_existing(tmp_path / taken, force=True)
+            refuse_existing(tmp_path / taken, folder=folder)
+        refuse_existing(tmp_path / taken, force=True, folder=folder)
+
+
+def test_force_never_puts_a_folder_for_a_file_or_the_other_way_round(tmp_path):
+    (tmp_path / "folder").mkdir()
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="folder: is a folder"):
+        refuse_existing(tmp_path / "folder", force=True)
+    with pytest.raises(UserError, match="file: is a file"):
+        refuse_existing(tmp_path / "file", force=True, folder=True)
+
+
+def test_what_could_not_be_written_is_refused_beforehand(tmp_path, monkeypatch):
+    (tmp_path / "file").write_text("")
+    with pytest.raises(UserError, match="file is a file"):
+        refuse_existing(tmp_path / "file" / "new" / "a.txt")
+    for nameless in (".", "..", "/"):
+        with pytest.raises(UserError, match="is no name for an output; name a new folder"):
+            refuse_existing(nameless, folder=True)
+    refuse_existing(tmp_path / "new" / "a.txt")
+    monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere, so ask for the answer of others
+    with pytest.raises(UserError, match="no permission to write"):
+        refuse_existing(tmp_path / "new" / "a.txt")
