@@ -64,7 +64,7 @@ def strip(
     # Bodies are set along the camera's own x axis, so that no body stands nearer than another.
     turn = math.radians(yaw)
     aside = torch.tensor([math.cos(turn), 0.0, -math.sin(turn)])
-    step = max(0.62, 0.86 * max(_width(row, aside) for row in rows))
+    step = max(0.62, *(_clearance(row, aside) for row in rows))
     spread = [row + (torch.arange(len(row))[:, None, None] - (len(row) - 1) / 2) * step * aside for row in rows]
     points = torch.cat([row.reshape(-1, 3) for row in spread])
     width = round(height * (_width(points[None], aside) + 0.2) / (float(points[:, 1].amax()) + 0.35))
@@ -116,6 +116,13 @@ def smoothed(path: Tensor, fps: float, seconds: float = 0.6) -> Tensor:
 def _posed(body: Body, rotations: Tensor, root: Tensor) -> Tensor:
     with torch.no_grad():
         return body(rotations.float(), root.float()).vertices.cpu()
+
+
+def _clearance(poses: Tensor, aside: Tensor) -> float:
+    """How far apart neighbours in [K V 3] have to stand along a direction, metres, so that they do not touch."""
+    across = poses @ aside
+    gaps = across[:-1].amax(1) - across[1:].amin(1)
+    return float(gaps.max()) + 0.05 if len(gaps) else 0.0
 
 
 def _width(vertices: Tensor, aside: Tensor) -> float:

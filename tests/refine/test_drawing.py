@@ -1,3 +1,5 @@
+from dataclasses import replace
+
 import pytest
 import torch
 
@@ -33,6 +35,14 @@ def test_strip_has_a_body_for_each_pose_at_one_scale(body):
     legs = is_drawn(long)[80:100].any(0).int()
     assert int((legs.diff() == 1).sum()) in (4, 8)
     assert is_drawn(long).sum() == pytest.approx(2 * float(is_drawn(short).sum()), rel=0.1)
+
+
+def test_wide_poses_stand_clear_of_one_another(body):
+    facing = rotation_about("y", torch.tensor(-0.49)).expand(4, 24, 3, 3).clone()
+    facing[:, 1:] = torch.eye(3)
+    [row] = strip([replace(standing(body, 4), rotations=facing)], body, poses=4, height=120, style="parts", yaw=0.0)
+    columns = is_drawn(row).any(0).int()
+    assert int((columns.diff() == 1).sum()) == 4
 
 
 def test_left_is_warm_and_on_the_right_of_a_picture_from_the_front(body):
