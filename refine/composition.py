@@ -2,6 +2,7 @@
 
 from collections.abc import Callable
 from dataclasses import dataclass
+from typing import Literal
 
 import torch
 
@@ -24,6 +25,17 @@ class Composition:
     after: Trace | None = None
     history: dict[str, list[float]] | None = None
     """Loss terms of each refinement step."""
+    made: Literal["coupled", "refined", "given"] = "refined"
+    """What ``motion`` is: the coupled motion itself, refined from it, or another motion that was given."""
+
+    def motions(self) -> dict[str, Motion]:
+        """The coupled motion, and what was made of it if anything was, by name."""
+        return {"coupled": self.coupling.motion, self.made: self.motion}
+
+    def traces(self) -> dict[str, Trace]:
+        """The loss's traces of ``motions``; empty when nobody looked."""
+        traces = {"coupled": self.before, self.made: self.after}
+        return {name: trace for name, trace in traces.items() if trace}
 
 
 def compose(
@@ -49,7 +61,8 @@ def compose(
     i, j = aligned(i, j)
     coupled = couple(i, j, decoupler.body.rest_joints, lam, coupling)
     refined = refine_motion(coupled.motion, i, j, decoupler, refinement, progress)
-    return Composition(i, j, coupled, refined.motion, refined.before, refined.after, refined.history)
+    made = "refined" if refined.history else "coupled"
+    return Composition(i, j, coupled, refined.motion, refined.before, refined.after, refined.history, made)
 
 
 def aligned(i: Motion, j: Motion) -> tuple[Motion, Motion]:

@@ -3,6 +3,7 @@
 import base64
 import html
 import json
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
@@ -24,17 +25,53 @@ from renderers.images import (
     save_png,
     with_joints,
 )
-from renderers.skeleton import PARTS
+from renderers.skeleton import DRAWN_PART_NAMES, PARTS
 
-STAGES = ("sub-action", "composition", "joints, energies", "attention", "kept patches", "inpainted", "difference")
+STAGES = (
+    "sub-action",
+    "composition",
+    "energies",
+    "attention",
+    "kept patches",
+    "inpainted",
+    "difference",
+    "what counts of it",
+)
+NOTES = (
+    "All bodies: one camera, one scale, place and heading taken out. Left arm red, right arm green, left leg orange, "
+    "right leg blue.",
+    "Energies: the larger and darker, the more the part moves, relative to this action's busiest. "
+    "Attention: the darker, the more a pixel belongs to the action; each picture has its own scale.",
+    "Kept patches: what the inpainting network sees, without the parts that are the other action's; hatched is hidden. "
+    "Inpainted: those patches of the composition, the rest completed.",
+    "Difference: red where inpainted has more, blue where the sub-action has more. "
+    "What counts: the difference in the parts that this action answers for; its square is the loss.",
+)
 UNIT = "mean squared joint step relative to the pelvis, m² per frame²"
+INTRODUCTION = (
+    "Two actions were put into one motion. Below, each row is one motion, from its first frame to its last: the two "
+    "actions as they were given, their blend by energies (coupled), and what was made of it."
+)
+LOSS = (
+    "The smaller, the better each action is recognised in pictures of the motion: the mean over all frames and views "
+    "of the squared difference between the action's own picture and the composition's, completed by a network that has "
+    "only seen single actions. The chart, if there was a refinement, shows the terms that it lowered: decoupling is "
+    "this loss in the frames drawn at that step; the others hold the motion near its start, smooth, and its feet down."
+)
+SEEN = (
+    "The stages of the loss for a few moments, read from left to right. Each row asks whether one of the actions can "
+    "be recognised in the composition."
+)
 
 STYLE = """
 body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem; padding: 0 1rem;
        background: #f7f5f0; color: #2b2d42 }
 img { max-width: 100%; display: block; margin: 1rem 0 }
-td, th { padding: .1rem 1rem .1rem 0; text-align: right }
+table { border-collapse: collapse; margin: 1rem 0 }
+td, th { padding: .1rem 1.5rem .1rem 0; text-align: right; font-weight: normal }
 th:first-child { text-align: left }
+thead th { font-weight: 600; border-bottom: 1px solid #d8d4c8 }
+figure { margin: 2rem 0 } figcaption, p, li { max-width: 46rem }
 pre { overflow: auto; background: #fff; padding: 1rem }
 """
 
@@ -50,8 +87,8 @@ def measure(composition: Composition) -> dict[str, Any]:
         "energies": {"unit": UNIT, "i": by_part(coupling.energies_i), "j": by_part(coupling.energies_j)},
         "share_of_i": {**by_part(coupling.weights), "root": round(float(coupling.weights[0]), 6)},
     }
-    if composition.before and composition.after:
-        report["decoupling_loss"] = {"coupled": losses(composition.before), "refined": losses(composition.after)}
+    if traces := composition.traces():
+        report["decoupling_loss"] = {name: losses(trace) for name, trace in traces.items()}
     if composition.history:
         terms = {name: values for name, values in composition.history.items() if values}
         report["refinement"] = {
@@ -74,14 +111,20 @@ def losses(trace: Trace) -> dict[str, float]:
 
 
 def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "", side: int = 192) -> Tensor:
-    """Every stage of the loss for picture ``index`` of a trace: one row a sub-action, one column a stage [3 H W]."""
+    """Every stage of the loss for picture ``index`` of a trace: one row a sub-action, one column a stage [3 H W].
+
+    Args:
+        side: pixels of each picture; the loop's own are enlarged by a whole number.
+    """
     composed = trace.composed.pictures[index]
     factor = max(1, side // composed.shape[-1])
     whole = enlarged(part_picture(composed), factor)
-    rows = []
-    for reference, answer in zip(trace.references, trace.sides, strict=True):
+    rows, captions = [], []
+    for name, reference, answer in zip(names, trace.references, trace.sides, strict=True):
+        answers, shown = (value[index].cpu() for value in reference.owned)
         own, inpainted = reference.seen.pictures[index], answer.inpainted[index].clamp(0, 1)
         own_picture = enlarged(part_picture(own), factor)
+        weigh = answers.sqrt()[:, None, None].to(own)
         patches = round(answer.kept.shape[1] ** 0.5)
         rows.append(
             [
@@ -89,15 +132,26 @@ def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "
                 whole,
                 with_joints(own_picture, reference.seen.joints_px[index], reference.energies[index], factor),
                 heat_map(whole, answer.attention[index].sqrt()),
-                kept_patches(whole, answer.kept[index].reshape(patches, patches)),
+                kept_patches(
+                    enlarged(part_picture(composed.cpu() * shown[:, None, None]), factor),
+                    answer.kept[index].reshape(patches, patches),
+                ),
                 enlarged(part_picture(inpainted), factor),
                 enlarged(difference_picture(inpainted, own), factor),
+                enlarged(difference_picture(*(picture * weigh for picture in (inpainted, own))), factor),
             ]
         )
-    captions = [
-        f"{name}: loss {float(answer.loss[index]):.4f}" for name, answer in zip(names, trace.sides, strict=True)
-    ]
-    return contact_sheet(rows, captions, STAGES, title)
+        captions.append(f"{name}: loss {float(answer.loss[index]):.6f}{answers_for(answers)}")
+    return contact_sheet(rows, captions, STAGES, title, notes=NOTES)
+
+
+def answers_for(answers: Tensor) -> str:
+    """In words, the share of each drawn part [C] that an action answers for; nothing for a plain silhouette."""
+    if len(answers) != len(DRAWN_PART_NAMES):
+        return ""
+    shares = zip(DRAWN_PART_NAMES, answers.tolist(), strict=True)
+    named = [f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares if share >= 0.05]
+    return f", answers for {', '.join(named) or 'no part'}"
 
 
 def write_report(
@@ -117,7 +171,7 @@ def write_report(
     report = measure(composition) | (extra or {})
     pictures = {"motions": motions_sheet(composition, body), **stage_sheets(composition, frames)}
     if composition.history and len(composition.history["total"]) > 1:
-        pictures["loss"] = chart(composition.history, "Refinement: weighed loss terms by step")
+        pictures["loss"] = chart(composition.history, "Refinement: weighted loss terms by step")
     for name, picture in pictures.items():
         save_png(folder / f"{name}.png", picture)
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
@@ -126,45 +180,74 @@ def write_report(
 
 
 def stage_sheets(composition: Composition, frames: int) -> dict[str, Tensor]:
-    """``stage_sheet`` of evenly spread frames in the first view, coupled and refined, by file name."""
+    """``stage_sheet`` of evenly spread frames in the first view, of every motion, by file name."""
     names = (composition.i.label or "i", composition.j.label or "j")
     length, fps = len(composition.motion), composition.motion.fps
     shown = torch.linspace(0, length - 1, min(frames, length)).round().long().tolist()
-    traces = {"coupled": composition.before, "refined": composition.after}
     sheets = {}
     for frame in shown:
-        for when, trace in traces.items():
-            if trace:
-                index = frame * len(trace.composed.pictures) // length
-                title = f"{when}, {frame / fps:.2f} s"
-                sheets[f"stages-{frame:04d}-{when}"] = stage_sheet(trace, index, names, title)
+        for made, trace in composition.traces().items():
+            index = frame * len(trace.composed.pictures) // length
+            title = f"{made} motion at {frame / fps:.2f} s, first view"
+            sheets[f"stages-{frame:04d}-{made}"] = stage_sheet(trace, index, names, title)
     return sheets
 
 
 def motions_sheet(composition: Composition, body: Body, poses: int = 8, height: int = 240) -> Tensor:
-    """Sub-actions, coupled and refined motion, each as a row of poses over time [3 H W]."""
-    motions = [composition.i, composition.j, composition.coupling.motion, composition.motion]
-    captions = [composition.i.label or "sub-action i", composition.j.label or "sub-action j", "coupled", "refined"]
-    return contact_sheet([[row] for row in strip(motions, body, poses, height)], captions)
+    """Sub-actions, coupled motion and what was made of it, each as a row of poses over time [3 H W]."""
+    made = composition.motions()
+    captions = [composition.i.label or "sub-action i", composition.j.label or "sub-action j", *made]
+    rows = strip([composition.i, composition.j, *made.values()], body, poses, height)
+    return contact_sheet([[row] for row in rows], captions)
 
 
 def page(report: dict[str, Any], folder: Path, pictures: list[str]) -> str:
     """One HTML page that holds the pictures of ``folder`` itself, so that it can be mailed."""
-    title = html.escape(" and ".join(clip["label"] or clip["source"] for clip in report["sub_actions"]))
-    columns = (report["energies"]["i"], report["energies"]["j"], report["share_of_i"])
-    rows = "".join(
-        f"<tr><th>{part.replace('_', ' ')}" + "".join(f"<td>{column[part]:.3g}" for column in columns) for part in PARTS
-    )
-    figures = "".join(
-        f'<img alt="{name}" src="data:image/png;base64,{in_base64(folder / f"{name}.png")}">' for name in pictures
-    )
-    return f"""<!doctype html><meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>
-<h1>{title}</h1>
-<table><tr><th>part<th>energy of i<th>energy of j<th>share of i{rows}</table>
-<p>Energies: {html.escape(UNIT)}.</p>
-{figures}
+    i, j = (html.escape(clip["label"] or clip["source"]) for clip in report["sub_actions"])
+    clip = report["sub_actions"][0]
+    figures = {
+        name: f'<figure><img alt="{name}" src="data:image/png;base64,{in_base64(folder / f"{name}.png")}"></figure>'
+        for name in pictures
+    }
+    stages = "".join(figures[name] for name in pictures if name.startswith("stages"))
+    return f"""<!doctype html><meta charset="utf-8"><title>{i} and {j}</title><style>{STYLE}</style>
+<h1>{i} and {j}</h1>
+<p>{html.escape(INTRODUCTION)} The motion has {clip["frames"]} frames at {clip["fps"]:g} a second.</p>
+{figures["motions"]}
+<h2>Who moves what</h2>
+{table(("part", f"energy of {i}", f"energy of {j}", f"share of {i}"), energy_rows(report))}
+<p>Energy: {html.escape(UNIT)}. Coupling blends the rotations of each part by these shares; travel and global
+orientation follow the root's.</p>
+{loss_section(report, i, j) + figures.get("loss", "")}
+{f"<h2>What the loop saw</h2><p>{html.escape(SEEN)}</p>" + stages if stages else ""}
 <details><summary>report.json</summary><pre>{html.escape(json.dumps(report, indent=2))}</pre></details>
 """
+
+
+def energy_rows(report: dict[str, Any]) -> list[tuple[str, ...]]:
+    of_i, of_j, shares = report["energies"]["i"], report["energies"]["j"], report["share_of_i"]
+    parts = [
+        (part.replace("_", " "), f"{of_i[part]:.2e}", f"{of_j[part]:.2e}", f"{shares[part]:.0%}") for part in PARTS
+    ]
+    return [*parts, ("root", "", "", f"{shares['root']:.0%}")]
+
+
+def loss_section(report: dict[str, Any], i: str, j: str) -> str:
+    """The decoupling loss of every motion as a table; empty when nobody looked."""
+    if "decoupling_loss" not in report:
+        return ""
+    rows = [
+        (made, *(f"{loss[key]:.6f}" for key in ("i", "j", "total"))) for made, loss in report["decoupling_loss"].items()
+    ]
+    return (
+        f"<h2>Can both be recognised?</h2>{table(('motion', i, j, 'decoupling loss'), rows)}<p>{html.escape(LOSS)}</p>"
+    )
+
+
+def table(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
+    """An HTML table of cells that are HTML already."""
+    body = "".join(f"<tr><th>{first}" + "".join(f"<td>{cell}" for cell in rest) for first, *rest in rows)
+    return f"<table><thead><tr>{''.join(f'<th>{cell}' for cell in head)}</thead><tbody>{body}</tbody></table>"
 
 
 def in_base64(path: Path) -> str:

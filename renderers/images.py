@@ -4,6 +4,7 @@ A picture is a float tensor [3 H W] in 0..1; [1 H W] and [H W] are taken as grey
 """
 
 import math
+import textwrap
 from collections.abc import Sequence
 from fractions import Fraction
 from pathlib import Path
@@ -65,6 +66,7 @@ def contact_sheet(
     column_captions: Sequence[str] = (),
     title: str = "",
     gap: int = 8,
+    notes: Sequence[str] = (),
 ) -> Tensor:
     """Rows of pictures of any sizes, with a caption above each column and over each row.
 
@@ -72,6 +74,7 @@ def contact_sheet(
         rows: pictures [3 H W]; rows may differ in length.
         row_captions: one a row, written over it.
         column_captions: one a column, written above the first row.
+        notes: paragraphs of explanation, written small under the last row.
 
     Returns:
         [3 H W] in 0..1.
@@ -88,7 +91,9 @@ def contact_sheet(
     over = line if row_captions else 0
     caption_width = max((_text_width(caption, size) for caption in row_captions), default=0)
     width = max(sum(widths) + gap * (columns + 1), caption_width + 2 * gap, _text_width(title, size + 3) + 2 * gap)
-    height = top + sum(heights) + (gap + over) * len(rows)
+    letters = max(20, round(width / _text_width("n", size - 3)))
+    lines = [text for note in notes for text in textwrap.wrap(note, letters)]
+    height = top + sum(heights) + (gap + over) * len(rows) + line * len(lines)
 
     sheet = Image.new("RGB", (width, height), BACKGROUND)
     draw = ImageDraw.Draw(sheet)
@@ -103,6 +108,8 @@ def contact_sheet(
         for left, span, cell in zip(lefts, widths, row, strict=False):
             sheet.paste(cell, (left + (span - cell.width) // 2, y + over))
         y += over + tall + gap
+    for number, text in enumerate(lines):
+        draw.text((gap, y + line * number), text, INK, font=_font(size - 3))
     return _tensor(sheet)
 
 

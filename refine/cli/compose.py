@@ -27,20 +27,20 @@ class Compose:
     lam: float = 0.5
     """Share of A where both move alike, 0 to 1."""
     steps: int | None = None
-    """Refinement steps; 0 only couples, none leaves their number to the engine."""
+    """Refinement steps; 0 only couples, None leaves their number to the engine."""
     body: Path | None = None
     """Your SMPL file (.npz or .pkl) instead of the free body."""
     mae: Path | None = None
     """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
     report: Path | None = None
-    """Folder for pictures of every stage and report.json."""
+    """Folder for report.html, pictures of every stage and report.json; replaced as a whole with --force."""
     force: bool = False
     """Replace outputs that are already there."""
     seed: int = 0
     """Of the frames that refinement draws, and of built-in actions."""
 
     def run(self) -> None:
-        from refine.cli.inputs import bar, body_of, judge_of, pair_of, refinement_of
+        from refine.cli.inputs import bar, body_of, check_lam, judge_of, pair_of, refinement_of
         from refine.composition import Composition, compose
         from refine.coupling import couple
         from refine.formats.files import check_suffix, save_motion
@@ -48,26 +48,29 @@ class Compose:
         from renderers.outputs import refuse_existing, replacing_folder
 
         check_suffix(self.out)
-        if not 0 <= self.lam <= 1:
-            raise UserError("--lam", f"expected a weight between 0 and 1, got {self.lam}")
+        check_lam(self.lam)
         config = refinement_of(self.steps, self.seed)
-        for output in filter(None, (self.out, self.report)):
-            refuse_existing(output, self.force)
+        refuse_existing(self.out, self.force)
+        if self.report:
+            if self.out in (self.report, *self.report.parents):
+                raise UserError(self.report, f"cannot be a folder while {self.out} is a file", "give --report another")
+            refuse_existing(self.report, self.force, folder=True)
 
         body = body_of(self.body)
         i, j = pair_of(self.a, self.b, body.rest_joints, self.seed)
         if config.steps == 0 and self.report is None:
             coupled = couple(i, j, body.rest_joints, self.lam)
-            composition = Composition(i, j, coupled, coupled.motion)
+            composition = Composition(i, j, coupled, coupled.motion, made="coupled")
         else:
             with bar(config.steps, "refine") as progress:
                 composition = compose(i, j, judge_of(body, self.mae), self.lam, None, config, progress)
-        save_motion(composition.motion, self.out, body.rest_joints, force=self.force)
-        print(f"{self.out}  {len(composition.motion)} frames at {composition.motion.fps:g} fps")
-        if composition.before and composition.after:
-            before, after = losses(composition.before)["total"], losses(composition.after)["total"]
-            print(f"decoupling loss  {before:.5f} coupled, {after:.5f} refined")
-        if self.report:
+        if self.report:  # before the motion, which may be wanted in the very folder that is replaced here
             with replacing_folder(self.report) as partial:
                 write_report(partial, composition, body_of(self.body, "full"))
+        save_motion(composition.motion, self.out, body.rest_joints, force=True)
+        print(f"{self.out}  {len(composition.motion)} frames at {composition.motion.fps:g} fps")
+        traces = composition.traces().items()
+        if traces:
+            print("decoupling loss ", ", ".join(f"{losses(trace)['total']:.6f} {name}" for name, trace in traces))
+        if self.report:
             print(self.report / "report.html")

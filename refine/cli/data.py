@@ -6,6 +6,8 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from renderers.checks import UserError
+
 
 @dataclass(frozen=True)
 class ImportData:
@@ -17,7 +19,7 @@ class ImportData:
     """
 
     folder: Positional[Path]
-    """Searched with its subfolders for .bvh and .npz files."""
+    """Folder that is searched, with its subfolders, for .bvh and .npz files."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Packed file to write, .npz."""
     label_pattern: str | None = None
@@ -37,6 +39,10 @@ class ImportData:
         from refine.formats.clips import import_folder, save_clips
         from renderers.outputs import refuse_existing
 
+        if not self.folder.is_dir():
+            raise UserError(self.folder, "is not a folder", "give a folder of motion files")
+        if self.out.suffix != ".npz":
+            raise UserError(self.out, "packed clips are an .npz file", "end its name in .npz")
         refuse_existing(self.out, self.force)
         progress = partial(tqdm, desc="import", disable=None, leave=False)
         imported = import_folder(self.folder, body_of(None).rest_joints, self.label_pattern, progress)

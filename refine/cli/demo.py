@@ -6,6 +6,8 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from renderers.checks import UserError, check_known
+
 FPS, FILM_FPS, FILM_SIZE = 30.0, 15.0, (300, 250)
 
 
@@ -23,7 +25,7 @@ class Demo:
     seconds: float = 3.0
     """Length of the motions."""
     steps: int | None = None
-    """Refinement steps; none leaves their number to the engine."""
+    """Refinement steps; 0 only couples, None leaves their number to the engine."""
     mae: Path | None = None
     """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
     force: bool = False
@@ -43,12 +45,13 @@ class Demo:
         from refine.metrics import mean_joint_error
         from refine.report import write_report
         from refine.synthetic import ACTIONS, draw, perform, perform_together
-        from renderers.checks import check_known
         from renderers.images import contact_sheet, save_mp4
         from renderers.outputs import refuse_existing, replacing_folder
 
+        if not 0.1 <= self.seconds <= 60:
+            raise UserError("--seconds", f"expected 0.1 to 60, got {self.seconds:g}")
         config = refinement_of(self.steps, self.seed)
-        refuse_existing(self.out, self.force)
+        refuse_existing(self.out, self.force, folder=True)
         for name in self.actions:
             check_known("--actions", name, ACTIONS)
         started = time.monotonic()
@@ -61,14 +64,11 @@ class Demo:
             composition = compose(i, j, decoupler, refinement=config, progress=progress)
 
         true = perform_together(*draws, frames, body.rest_joints).joints(body.rest_joints)
-        coupled, refined = composition.coupling.motion, composition.motion
-        error = {
-            name: mean_joint_error(motion.joints(body.rest_joints), true)
-            for name, motion in (("coupled", coupled), ("refined", refined))
-        }
+        made = composition.motions()
+        error = {name: mean_joint_error(motion.joints(body.rest_joints), true) for name, motion in made.items()}
         with bar(round(self.seconds * FILM_FPS), "draw") as progress:
-            captions = [*self.actions, "coupled", "refined"]
-            moments = film([i, j, coupled, refined], drawn_body, FILM_SIZE, FILM_FPS, progress=progress)
+            captions = [*self.actions, *made]
+            moments = film([i, j, *made.values()], drawn_body, FILM_SIZE, FILM_FPS, progress=progress)
             pictures = [contact_sheet([moment], column_captions=captions, gap=0) for moment in moments]
         with replacing_folder(self.out) as partial:
             extra = {"metres_from_true_composition": error, "seconds": round(time.monotonic() - started, 1)}
@@ -76,10 +76,9 @@ class Demo:
             save_mp4(partial / "film.mp4", pictures, FILM_FPS)
             save_motion(composition.motion, partial / "composition.bvh", body.rest_joints)
 
-        loss = {name: terms["total"] for name, terms in report["decoupling_loss"].items()}
         print(f"{' + '.join(self.actions)}, {frames} frames, {time.monotonic() - started:.0f} s")
-        print("                           coupled   refined")
-        print(f"decoupling loss            {loss['coupled']:7.5f}   {loss['refined']:7.5f}")
-        print(f"cm from true composition   {error['coupled'] * 100:7.2f}   {error['refined'] * 100:7.2f}")
+        for name in made:
+            loss = report["decoupling_loss"][name]["total"]
+            print(f"{name}: decoupling loss {loss:.6f}, {error[name] * 100:.2f} cm from the true composition")
         for name in ("report.html", "motions.png", "film.mp4", "composition.bvh", "report.json"):
             print(self.out / name)

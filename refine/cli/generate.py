@@ -1,5 +1,6 @@
 """``refine generate``: motions from a trained generator."""
 
+import re
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
@@ -8,10 +9,14 @@ from tyro.conf import arg
 
 from renderers.checks import UserError
 
+MOST, DRAWN = 1000, 8  # motions made by one command, and how many of them are drawn
+
 
 @dataclass(frozen=True)
 class Generate:
     """Make motions of one action, or compositions of several, with a trained generator.
+
+    Writes a BVH for each, named after its actions, and motions.png with the first eight, one row each.
 
     Example: refine generate --actions walk wave-both-hands -n 8 --model runs/generator -o motions
     """
@@ -42,17 +47,22 @@ class Generate:
         from renderers.outputs import refuse_existing, replacing_folder
         from train.generator import load_generator
 
-        if self.count < 1:
-            raise UserError("-n", f"expected 1 or more, got {self.count}")
-        refuse_existing(self.out, self.force)
+        if not 1 <= self.count <= MOST:
+            raise UserError("-n", f"expected 1 to {MOST}, got {self.count}")
+        refuse_existing(self.out, self.force, folder=True)
         body = body_of(None)
         random = torch.Generator().manual_seed(self.seed)
         motions = generate_motions(
             load_generator(self.model), self.actions, self.count, self.seconds, body.rest_joints, random
         )
-        rows = [[row] for row in strip(motions[:8], body, height=180)]
+        rows = [[row] for row in strip(motions[:DRAWN], body, height=180)]
         with replacing_folder(self.out) as partial:
             for number, motion in enumerate(motions):
-                save_motion(motion, partial / f"{number:03d}.bvh", body.rest_joints)
+                save_motion(motion, partial / f"{file_stem(motion.label)}_{number:03d}.bvh", body.rest_joints)
             save_png(partial / "motions.png", contact_sheet(rows, title=" + ".join(self.actions)))
         print(f"{self.out}  {len(motions)} motions of {self.seconds:g} s, drawn in motions.png")
+
+
+def file_stem(label: str) -> str:
+    """The label as part of a file name; labels come from other people's data."""
+    return re.sub(r"[^\w+-]+", "-", label)[:100]

@@ -56,6 +56,11 @@ def built_in(name: str, rest_joints: "Tensor", seed: int, seconds: float = 4.0, 
     return perform(draw(name, torch.Generator().manual_seed(seed), fps), round(seconds * fps), rest_joints)
 
 
+def check_lam(lam: float) -> None:
+    if not 0 <= lam <= 1:
+        raise UserError("--lam", f"expected a weight between 0 and 1, got {lam}")
+
+
 def pair_of(first: str, second: str, rest_joints: "Tensor", seed: int) -> tuple["Motion", "Motion"]:
     """Two clips, aligned; a change of frame rate is said."""
     from refine.composition import aligned

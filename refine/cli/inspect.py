@@ -6,12 +6,15 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from renderers.checks import UserError
+
 
 @dataclass(frozen=True)
 class Inspect:
     """Show every stage of the loop: joints and energies, attention, kept patches, inpainting, difference.
 
-    Compares the coupled motion with the refined one, or with any other composition of A and B.
+    Compares the coupled motion with the refined one, or with any other composition of A and B. Writes report.html,
+    which explains its pictures, the same pictures as PNG, and report.json with energies, weights and losses.
 
     Example: refine inspect walk wave-both-hands -o pictures
     """
@@ -29,7 +32,7 @@ class Inspect:
     lam: float = 0.5
     """Share of A where both move alike, 0 to 1."""
     steps: int | None = None
-    """Refinement steps; none leaves their number to the engine."""
+    """Refinement steps; 0 shows the coupled motion alone, None leaves their number to the engine."""
     body: Path | None = None
     """Your SMPL file instead of the free body."""
     mae: Path | None = None
@@ -40,15 +43,18 @@ class Inspect:
     """Of the frames that refinement draws, and of built-in actions."""
 
     def run(self) -> None:
-        from refine.cli.inputs import bar, body_of, clip_of, judge_of, pair_of, refinement_of
+        from refine.cli.inputs import bar, body_of, check_lam, clip_of, judge_of, pair_of, refinement_of
         from refine.composition import Composition, compose, judge
         from refine.coupling import couple
         from refine.motion import crop, resample
         from refine.report import write_report
         from renderers.outputs import refuse_existing, replacing_folder
 
+        check_lam(self.lam)
+        if not 1 <= self.frames <= 100:
+            raise UserError("--frames", f"expected 1 to 100, got {self.frames}")
         config = refinement_of(self.steps, self.seed)
-        refuse_existing(self.out, self.force)
+        refuse_existing(self.out, self.force, folder=True)
         body = body_of(self.body)
         i, j = pair_of(self.a, self.b, body.rest_joints, self.seed)
         decoupler = judge_of(body, self.mae)
@@ -61,7 +67,7 @@ class Inspect:
             i, j, given = (crop(clip, 0, frames) for clip in (i, j, given))
             coupled = couple(i, j, body.rest_joints, self.lam)
             traces = [judge(motion, i, j, decoupler) for motion in (coupled.motion, given)]
-            composition = Composition(i, j, coupled, given, *traces)
+            composition = Composition(i, j, coupled, given, *traces, made="given")
         with replacing_folder(self.out) as partial:
             write_report(partial, composition, body_of(self.body, "full"), self.frames)
         print(self.out / "report.html")

@@ -41,6 +41,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         verb = verbs().cli(
             prog="refine", description=DESCRIPTION, args=argv, config=(FlagCreatePairsOff, CascadeSubcommandArgs)
         )
+        check_seed(verb.seed)
         verb.run()
         sys.stdout.flush()
     except KeyboardInterrupt:
@@ -55,6 +56,12 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise
         return fail(f"{error.filename}: {error.strerror}", 2)
     return 0
+
+
+def check_seed(seed: int | None) -> None:
+    """Refuse what some of the random generators would."""
+    if seed is not None and not 0 <= seed < 2**32:
+        raise UserError("--seed", f"expected 0 to {2**32 - 1}, got {seed}")
 
 
 def fail(message: str, code: int) -> int:

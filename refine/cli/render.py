@@ -1,5 +1,6 @@
 """``refine render``: a motion as a picture or a film."""
 
+import math
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
@@ -43,20 +44,23 @@ class Render:
         from renderers.images import save_gif, save_mp4, save_png
         from renderers.outputs import refuse_existing
 
-        if self.out.suffix not in (".png", ".gif", ".mp4"):
+        suffix = self.out.suffix.lower()
+        if suffix not in (".png", ".gif", ".mp4"):
             raise UserError(self.out, "unknown picture format", "end it in .png, .gif or .mp4")
         if not (32 <= self.size <= 2160 and 1 <= self.poses <= 60 and 1 <= self.fps <= 120):
             raise UserError("refine render", "size must be 32 to 2160, poses 1 to 60 and fps 1 to 120")
+        if not math.isfinite(self.yaw):
+            raise UserError("--yaw", f"expected degrees, got {self.yaw}")
         refuse_existing(self.out, self.force)
         body = body_of(self.body, "full")
         motion = clip_of(self.motion, body.rest_joints, self.seed)
-        if self.out.suffix == ".png":
+        if suffix == ".png":
             [picture] = strip([motion], body, self.poses, self.size, self.yaw, self.style)
             save_png(self.out, picture)
         else:
             size = (self.size, round(self.size * 0.85))
             with bar(round(motion.seconds * self.fps), "draw") as progress:
                 moments = film([motion], body, size, self.fps, self.yaw, self.style, progress)
-            save = save_gif if self.out.suffix == ".gif" else save_mp4
+            save = save_gif if suffix == ".gif" else save_mp4
             save(self.out, [picture for [picture] in moments], self.fps)
         print(self.out)

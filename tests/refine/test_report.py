@@ -1,5 +1,6 @@
 import json
 import re
+from dataclasses import replace
 
 import pytest
 import torch
@@ -8,8 +9,9 @@ from refine.composition import Composition, compose, judge
 from refine.decoupling import Decoupler, DecouplingConfig
 from refine.energies import energy_signal, part_energies
 from refine.mae import MAE, MAEConfig
+from refine.ownership import Owned
 from refine.refinement import RefinementConfig
-from refine.report import STAGES, losses, measure, stage_sheet, stage_sheets, write_report
+from refine.report import STAGES, answers_for, losses, measure, stage_sheet, stage_sheets, write_report
 from refine.synthetic import draw, perform
 from renderers.body import Body
 from renderers.images import enlarged, part_picture
@@ -75,9 +77,32 @@ def test_the_sheets_show_their_frames_in_the_first_view(composition, decoupler):
     views = len(decoupler.config.views)
     assert views > 1
     sheets = stage_sheets(composition, 2)
-    expected = stage_sheet(composition.after, 5 * views, ("walk", "drink"), "refined, 0.17 s")
+    names, title = ("walk", "drink"), "refined motion at 0.17 s, first view"
+    expected = stage_sheet(composition.after, 5 * views, names, title)
     assert torch.equal(sheets["stages-0005-refined"], expected)
-    assert not torch.equal(expected, stage_sheet(composition.after, 5, ("walk", "drink"), "refined, 0.17 s"))
+    assert not torch.equal(expected, stage_sheet(composition.after, 5, names, title))
+
+
+def test_the_last_stage_shows_only_what_its_action_answers_for(composition):
+    trace, own = composition.before, 64
+    disowned = [side._replace(owned=Owned(side.owned.answers * 0, side.owned.shown)) for side in trace.references]
+    sheet = stage_sheet(trace._replace(references=tuple(disowned)), 3, ("walk", "drink"), side=own)
+    difference, counted = (sheet[:, :, 8 + k * (own + 8) :][:, :, :own] for k in (6, 7))
+    rows = [y for y in range(sheet.shape[1]) if (counted[:, y] == 1).all()]
+    assert len(rows) == 2 * own
+    assert (difference[:, rows] < 1).any()
+
+
+def test_what_an_action_answers_for_is_named():
+    assert answers_for(torch.tensor([0.0, 0.01, 0.75, 0.0, 1.0, 0.0])) == ", answers for left arm 75%, left leg 100%"
+    assert answers_for(torch.zeros(6)) == ", answers for no part"
+    assert answers_for(torch.ones(1)) == ""
+
+
+def test_a_motion_that_is_only_coupled_is_reported_once(composition):
+    once = replace(composition, motion=composition.coupling.motion, after=composition.before, made="coupled")
+    assert list(measure(once)["decoupling_loss"]) == ["coupled"]
+    assert list(stage_sheets(once, 1)) == ["stages-0000-coupled"]
 
 
 def test_the_folder_holds_one_self_contained_page(composition, body, tmp_path):
@@ -93,3 +118,5 @@ def test_the_folder_holds_one_self_contained_page(composition, body, tmp_path):
     }
     assert set(re.findall(r'alt="([^"]+)"', page)) == pictures
     assert re.findall(r'(?:src|href)="(?!data:)', page) == []
+    assert all(f"{loss['total']:.6f}" in page for loss in report["decoupling_loss"].values())
+    assert "share of walk" in page

@@ -99,6 +99,16 @@ def test_compose_refines_and_reports(clips, mae, tmp_path, capsys):
     assert {path.suffix for path in report.iterdir()} == {".png", ".json", ".html"}
 
 
+def test_a_motion_may_lie_in_its_report_folder(clips, mae, tmp_path, capsys):
+    folder = tmp_path / "both"
+    pair = [str(clips / "walk.bvh"), str(clips / "wave-left-hand.bvh")]
+    command = ["compose", *pair, "-o", str(folder / "both.bvh"), "--report", str(folder), "--steps", "0", "--mae", mae]
+    assert main(command) == 0
+    assert "refined" not in capsys.readouterr().out
+    assert (folder / "both.bvh").is_file() and (folder / "report.html").is_file()
+    assert list(json.loads((folder / "report.json").read_text())["decoupling_loss"]) == ["coupled"]
+
+
 # --- inspect, render -------------------------------------------------------------------------------------------------
 
 
@@ -109,7 +119,7 @@ def test_inspect_judges_a_given_composition(clips, mae, tmp_path):
     report = json.loads((out / "report.json").read_text())
     assert set(report["energies"]["i"]) == set(report["energies"]["j"]) == set(PARTS)
     assert report["energies"]["i"]["left_leg"] > report["energies"]["j"]["left_leg"]
-    assert set(report["decoupling_loss"]) == {"coupled", "refined"}
+    assert set(report["decoupling_loss"]) == {"coupled", "given"}
     assert len(list(out.glob("stages-*.png"))) == 4
     page = (out / "report.html").read_text()
     assert page.count("data:image/png;base64,") == 5
@@ -164,8 +174,10 @@ def test_train_then_generate(mae, tmp_path, capsys, rest_joints):
     assert json.loads((run / "config.json").read_text())["loop"]["seed"] == 5
     both = ["generate", "--actions", "walk", "wave-both-hands", "--model", str(run)]
     assert main([*both, "-n", "2", "--seconds", "0.5", "-o", str(out)]) == 0
-    assert sorted(path.name for path in out.iterdir()) == ["000.bvh", "001.bvh", "motions.png"]
-    motions = [load_motion(out / f"00{k}.bvh", rest_joints) for k in range(2)]
+    names = [f"walk+wave-both-hands_00{k}.bvh" for k in range(2)]
+    assert sorted(path.name for path in out.iterdir()) == ["motions.png", *names]
+    motions = [load_motion(out / name, rest_joints) for name in names]
+    assert {motion.label for motion in motions} == {"walk+wave-both-hands"}
     assert [len(motion) for motion in motions] == [15, 15]
     assert (motions[0].rotations - motions[1].rotations).abs().max() > 1e-3
     unknown = ["generate", "--actions", "wlak", "--model", run, "-o", tmp_path / "none"]
@@ -258,8 +270,9 @@ def test_a_broken_motion_is_named_in_one_line(broken, clips, tmp_path, capsys, n
 
 
 def test_outputs_that_are_there_are_refused_before_any_work(clips, tmp_path, capsys):
-    taken, folder = tmp_path / "taken.bvh", tmp_path / "folder"
-    taken.write_text("mine")
+    taken, packed, folder = tmp_path / "taken.bvh", tmp_path / "taken.npz", tmp_path / "folder"
+    for file in (taken, packed):
+        file.write_text("mine")
     folder.mkdir()
     (folder / "mine").write_text("")
     pair = [clips / "walk.bvh", clips / "wave-left-hand.bvh"]
@@ -268,12 +281,12 @@ def test_outputs_that_are_there_are_refused_before_any_work(clips, tmp_path, cap
         ["compose", *pair, "-o", tmp_path / "free.bvh", "--report", folder],
         ["inspect", *pair, "-o", folder],
         ["demo", "--out", folder],
-        ["data", "import", clips, "--out", taken],
+        ["data", "import", clips, "--out", packed],
         ["generate", "--actions", "walk", "--model", tmp_path, "-o", folder],
     ):
         assert "is already there; choose another name or pass --force" in refused(capsys, *command)
     assert taken.read_text() == "mine"
-    assert sorted(path.name for path in tmp_path.rglob("*")) == ["folder", "mine", "taken.bvh"]
+    assert sorted(path.name for path in tmp_path.rglob("*")) == ["folder", "mine", "taken.bvh", "taken.npz"]
     assert main(["compose", *map(str, pair), "-o", str(taken), "--steps", "0", "--force"]) == 0
     assert taken.read_text().startswith("HIERARCHY")
 
@@ -287,12 +300,21 @@ def test_outputs_that_are_there_are_refused_before_any_work(clips, tmp_path, cap
         (["compose", "walk", "squat", "-o", "a.bvh", "--steps", "-1"], "--steps: expected 0 or more"),
         (["compose", "walk", "squat", "-o", "a.bvh", "--mae", "none.safetensors"], "none.safetensors: no such file"),
         (["compose", "walk", "squat", "-o", "a.bvh", "--body", "none.npz"], "none.npz"),
+        (["compose", "walk", "squat", "-o", "a.bvh", "--report", "a.bvh"], "cannot be a folder while a.bvh is a file"),
+        (["compose", "walk", "squat", "-o", "a.bvh", "--seed", str(10**30)], "--seed: expected 0 to 4294967295"),
+        (["inspect", "walk", "squat", "-o", "a", "--frames", "0"], "--frames: expected 1 to 100, got 0"),
+        (["inspect", "walk", "squat", "-o", "a", "--lam", "2"], "--lam: expected a weight between 0 and 1, got 2"),
+        (["inspect", "walk", "squat", "-o", "."], ".: is no name for an output; name a new folder"),
+        (["render", "walk", "-o", "a.png", "--yaw", "nan"], "--yaw: expected degrees, got nan"),
+        (["demo", "--seconds", "nan"], "--seconds: expected 0.1 to 60, got nan"),
+        (["data", "import", ".", "--out", "a.txt"], "a.txt: packed clips are an .npz file"),
+        (["train", "mae", "tiny", "--loop.steps", "0"], "LoopConfig(steps): 0 is not a positive number"),
         (["render", "walk", "-o", "a.jpg"], "a.jpg: unknown picture format; end it in .png, .gif or .mp4"),
         (["render", "walk", "-o", "a.png", "--size", "1"], "size must be 32 to 2160"),
         (["demo", "--actions", "walk", "fly"], "unknown name 'fly'"),
-        (["data", "import", "nowhere", "--out", "a.npz"], "nowhere"),
+        (["data", "import", "nowhere", "--out", "a.npz"], "nowhere: is not a folder"),
         (["generate", "--actions", "walk", "--model", "nowhere", "-o", "a"], "nowhere"),
-        (["generate", "--actions", "walk", "--model", "m", "-o", "a", "-n", "0"], "-n: expected 1 or more"),
+        (["generate", "--actions", "walk", "--model", "m", "-o", "a", "-n", "0"], "-n: expected 1 to 1000, got 0"),
     ],
 )
 def test_a_mistake_costs_one_line_and_leaves_nothing(tmp_path, monkeypatch, capsys, arguments, said):
