@@ -7,9 +7,10 @@ from typing import Literal
 import torch
 
 from refine.coupling import Coupling, CouplingConfig, couple
-from refine.decoupling import Clips, Decoupler, Trace
+from refine.decoupling import Decoupler, Trace
 from refine.motion import Motion, crop, resample
 from refine.refinement import RefinementConfig, refine_motion
+from refine.seeing import Clips
 
 
 @dataclass(frozen=True)

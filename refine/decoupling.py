@@ -12,15 +12,16 @@ import torch
 from torch import Tensor, nn
 
 from refine.attention import attention_map
-from refine.energies import energy_signal, part_energies, spread_to_joints
+from refine.energies import energy_signal, joint_energies, part_energies
+from refine.ownership import Owned, by_shares, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
+from refine.seeing import Clips, Pinning, Seen, draw, pin, reach
 from renderers.body import Body
 from renderers.camera import Camera, frame
 from renderers.checks import UserError, check_shapes
 from renderers.mesh import Mesh
-from renderers.rotations import heading, rotation_about
-from renderers.silhouette import blur, silhouette
-from renderers.skeleton import DRAWN_PART_NAMES, DRAWN_PARTS, PARTS, forward_kinematics, part_of_joint
+from renderers.silhouette import blur
+from renderers.skeleton import DRAWN_PART_NAMES, forward_kinematics
 
 
 @dataclass(frozen=True)
@@ -31,14 +32,15 @@ class DecouplingConfig:
     """Share of the patches that stays visible."""
     views: tuple[float, ...] = (0.0, 90.0)
     """Yaw of each camera, degrees; 0 sees the front, 90 the left side."""
-    pinned: Literal["sequence", "frame", "body"] = "body"
-    """What is taken out before drawing, from all three bodies alike: the first frame's place and heading (the paper);
-    every frame's; or every frame's pelvis position and orientation."""
+    pinned: Pinning = "trunk"
+    """What is taken out of all three bodies alike before they are drawn, see ``seeing.Pinning``."""
     ownership: Literal["none", "share"] = "share"
-    """Whether a sub-action answers for the whole picture (the paper) or for the parts that hold more of its own energy
-    than of the other's, and is asked with these alone."""
-    sharpness: float = 2.0
-    """Power of the energy shares before they are compared; larger makes ownership all or nothing."""
+    """Whether a sub-action answers for the whole picture (the paper) or for the parts that it lives in, and is asked
+    with these alone; see ``ownership``."""
+    contested: float = 0.15
+    """Where the smaller share of energy is this fraction of the larger, nobody owns the part."""
+    quiet: float = 0.2
+    """Share of its energy that an action must hold in a part to own it fully; with half of it it owns nothing."""
     attention_joints: Literal["sub_action", "composition", "both"] = "both"
     """Whose projected joints carry the attention (protocol B.4 no. 26). With the sub-action's alone (the paper) a limb
     that is elsewhere in the composition is cut off where the visible patches end, and the loss pushes it back there."""
@@ -52,26 +54,12 @@ class DecouplingConfig:
 PAPER = DecouplingConfig(views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,))
 
 
-class Clips(NamedTuple):
-    """A batch of motions of equal length."""
-
-    rotations: Tensor  # [B T 24 3 3] local, joint 0 the global orientation
-    root: Tensor  # [B T 3] metres, the pelvis
-
-
-class Seen(NamedTuple):
-    """Motions as the cameras see them; N runs over clips, frames and views, in this order."""
-
-    pictures: Tensor  # [N C H W] part silhouettes, 0..1
-    joints_px: Tensor  # [N 24 2] pixels (x, y)
-
-
 class Reference(NamedTuple):
     """A sub-action's half of the question: what is looked at, and what should be seen there."""
 
     seen: Seen
     energies: Tensor  # [N 24] of its joints (Eq. 2)
-    owned: Tensor  # [N C] how much it answers for each channel
+    owned: Owned  # [N C] each
 
 
 class Side(NamedTuple):
@@ -90,33 +78,6 @@ class Trace(NamedTuple):
     composed: Seen
     references: tuple[Reference, Reference]  # of i and j
     sides: tuple[Side, Side]
-
-
-def pin(clips: Clips, mode: str) -> Clips:
-    """Take place and heading out of motions, so that pictures compare poses (protocol B.4 no. 24)."""
-    rotations, root = clips
-    first = slice(0, 1) if mode == "sequence" else slice(None)
-    if mode == "body":
-        turn = rotations[..., 0, :, :].mT
-        origin = root
-    else:
-        turn = rotation_about("y", -heading(rotations[:, first, 0]))
-        origin = root[:, first] * root.new_tensor([1.0, 0.0, 1.0])
-    pelvis = (turn @ rotations[..., 0, :, :])[..., None, :, :]
-    placed = (turn @ (root - origin)[..., None])[..., 0]
-    return Clips(torch.cat([pelvis, rotations[..., 1:, :, :]], dim=-3), placed)
-
-
-def reach(rest_joints: Tensor, mode: str) -> Tensor:
-    """[32 3] metres: the rims of an upright drum that holds a body in any usual pose, pinned in ``mode``.
-
-    Round, so that every view shows the body equally large.
-    """
-    height = float(rest_joints[:, 1].max() - rest_joints[:, 1].min())
-    angle = torch.arange(16) * (2 * math.pi / 16)
-    rim = torch.stack([angle.sin(), torch.zeros(16), angle.cos()], dim=1) * (0.73 * height)
-    ends = (-0.73, 0.73) if mode == "body" else (-0.03, 1.43)
-    return torch.cat([rim + torch.tensor([0.0, end * height, 0.0]) for end in ends]).to(rest_joints)
 
 
 def take_frames(values: Tensor, frames: Tensor) -> Tensor:
@@ -138,8 +99,9 @@ class Decoupler(nn.Module):
         channels = mae.config.channels
         if channels not in (1, len(DRAWN_PART_NAMES)):
             raise UserError("Decoupler(mae)", f"draws 1 or {len(DRAWN_PART_NAMES)} channels, the MAE wants {channels}")
-        if channels == 1 and config.ownership != "none":
-            raise UserError("Decoupler(ownership)", "a plain silhouette has no parts to own", 'use ownership="none"')
+        if channels == 1 and (config.ownership != "none" or config.pinned == "trunk"):
+            problem = "a plain silhouette has no parts to own or to draw apart"
+            raise UserError("Decoupler(config)", problem, 'use ownership="none" and another pinning')
         self.mesh = Mesh.build(body.faces, body.face_parts if channels > 1 else None)
         self.size = (mae.config.size, mae.config.size)
 
@@ -173,36 +135,26 @@ class Decoupler(nn.Module):
             frames=(frames, "B K"),
         )
         rotations, root = (take_frames(value, frames) for value in pin(clips, self.config.pinned))
-        posed = self.body(rotations.flatten(0, 1), root.flatten(0, 1))
-        pictures = [silhouette(posed.vertices, self.mesh, camera) for camera in cameras]
-        joints_px = [camera.project(posed.joints) for camera in cameras]
-        return Seen(torch.stack(pictures, 1).flatten(0, 1), torch.stack(joints_px, 1).flatten(0, 1))
+        return draw(self.body, self.mesh, rotations.flatten(0, 1), root.flatten(0, 1), cameras, self.config.pinned)
 
     @torch.no_grad()
     def references(self, i: Clips, j: Clips, frames: Tensor, cameras: list[Camera]) -> tuple[Reference, Reference]:
         """Draw the sub-actions and measure their energies; the part of Eq. 7 that is constant."""
-        energies = [part_energies(energy_signal(*clips, self.body.rest_joints)) for clips in (i, j)]
         pictures_of_clip = frames.shape[1] * len(cameras)
-        owned = self.ownership(*energies)
-        return tuple(
-            Reference(
-                self.see(clips, frames, cameras),
-                spread_to_joints(of_parts).repeat_interleave(pictures_of_clip, 0),
-                channels.repeat_interleave(pictures_of_clip, 0),
-            )
-            for clips, of_parts, channels in zip((i, j), energies, owned, strict=True)
-        )
+        references = []
+        for clips, owned in zip((i, j), self.ownership(i, j), strict=True):
+            energies = joint_energies(energy_signal(*clips, self.body.rest_joints))
+            per_clip = (energies, *(value.to(energies.device) for value in owned))
+            energies, *owned = (value.repeat_interleave(pictures_of_clip, 0) for value in per_clip)
+            references.append(Reference(self.see(clips, frames, cameras), energies, Owned(*owned)))
+        return tuple(references)
 
-    def ownership(self, energies_i: Tensor, energies_j: Tensor) -> tuple[Tensor, Tensor]:
-        """Part energies [B 5] of i and j -> how much each answers for every channel, [B C] in 0..1."""
+    def ownership(self, i: Clips, j: Clips) -> tuple[Owned, Owned]:
+        """What each sub-action owns of its B pairs' channels."""
         if self.config.ownership == "none":
-            ones = energies_i.new_ones(len(energies_i), self.mesh.channels)
-            return ones, ones
-        shares = [energies / energies.sum(-1, keepdim=True).clamp(min=1e-12) for energies in (energies_i, energies_j)]
-        of_i, of_j = (share**self.config.sharpness + 1e-12 for share in shares)
-        part_of_channel = [part_of_joint(PARTS)[joints[-1]] for joints in DRAWN_PARTS.values()]
-        of_i = (of_i / (of_i + of_j))[:, part_of_channel]
-        return of_i, 1 - of_i
+            return everything(len(i.root), self.mesh.channels)
+        turning = [part_energies(energy_signal(*clips, self.body.rest_joints, "rot6d")) for clips in (i, j)]
+        return by_shares(*turning, self.config.contested, self.config.quiet)
 
     def compare(self, composed: Seen, references: tuple[Reference, Reference]) -> Trace:
         """Eqs. 5 to 7 on pictures that are already drawn."""
@@ -215,13 +167,13 @@ class Decoupler(nn.Module):
         attention = self.attention(composed, reference)
         kept = keep_top(patch_means(attention, patch), self.config.kept)
         # What another action owns says nothing about this one, and the MAE knows pictures of single actions only.
-        shown = composed.pictures * (reference.owned >= 0.5)[..., None, None]
+        shown = composed.pictures * reference.owned.shown[..., None, None]
         visible = patchify(composed.pictures, patch)
         inpainted = unpatchify(paste(visible, self.mae(shown, kept), kept), patch, self.size)
         difference = inpainted - reference.seen.pictures
         blurred = [blur(difference, sigma) if sigma else difference for sigma in self.config.blurs]
         errors = torch.stack([scale.square().mean((2, 3)) for scale in blurred]).mean(0)
-        return Side(attention, kept, inpainted, (errors * reference.owned).mean(1))
+        return Side(attention, kept, inpainted, (errors * reference.owned.answers).mean(1))
 
     def attention(self, composed: Seen, reference: Reference) -> Tensor:
         """Eq. 6 at the joints that the configuration names, [N H W]."""

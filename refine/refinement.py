@@ -7,12 +7,15 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from refine.decoupling import Clips, Decoupler, Reference, Seen, Trace
+from refine.decoupling import Decoupler, Reference, Trace
+from refine.energies import spread_to_joints
 from refine.metrics import FEET, planted_feet
 from refine.motion import Motion, crop
+from refine.ownership import Owned
+from refine.seeing import Clips, Seen
 from renderers.checks import UserError
 from renderers.rotations import matrix_from_6d
-from renderers.skeleton import forward_kinematics
+from renderers.skeleton import PARTS, forward_kinematics
 
 
 @dataclass(frozen=True)
@@ -56,8 +59,8 @@ def refine_motion(
 ) -> Refined:
     """Make both sub-actions recognisable in a composition again.
 
-    The local rotations move in two ways: each joint along the line between the two sub-actions' rotations, by one share
-    for the whole clip (a half-blended limb can go to its owner); and freely, smooth in time. Travel and global
+    The local rotations move in two ways: each body part along the line between the two sub-actions' rotations, by one
+    share for the whole clip (a half-blended limb can go to its owner); and freely, smooth in time. Travel and global
     orientation stay.
 
     Args:
@@ -75,7 +78,7 @@ def refine_motion(
             raise UserError(clip.source, problem, "resample and crop it to the composition")
     i, j = crop(i, 0, frames), crop(j, 0, frames)
     problem = Problem.build(composed, i, j, decoupler, config)
-    shares = torch.zeros(24, 1).to(composed.root).requires_grad_()
+    shares = torch.zeros(len(PARTS)).to(composed.root).requires_grad_()
     offsets = torch.zeros_like(composed.six).requires_grad_()
     optimiser = torch.optim.Adam(
         [{"params": [shares], "lr": config.rate}, {"params": [offsets], "lr": config.free_rate}], betas=(0.8, 0.95)
@@ -127,7 +130,9 @@ class Problem(NamedTuple):
 
     def rotations(self, shares: Tensor, offsets: Tensor) -> Tensor:
         """[T 24 3 3]; the global orientation is the composition's."""
-        moved = matrix_from_6d(self.composed.six + shares * self.line + self.smoothed(offsets))
+        moved = matrix_from_6d(
+            self.composed.six + spread_to_joints(shares)[:, None] * self.line + self.smoothed(offsets)
+        )
         return torch.cat([self.composed.rotations[:, :1], moved[:, 1:]], dim=1)
 
     def smoothed(self, offsets: Tensor) -> Tensor:
@@ -157,7 +162,8 @@ class Problem(NamedTuple):
 def take_rows(reference: Reference, rows: Tensor) -> Reference:
     """The pictures ``rows`` of a reference."""
     seen = Seen(*(value[rows] for value in reference.seen))
-    return Reference(seen, reference.energies[rows], reference.owned[rows])
+    owned = Owned(*(value[rows] for value in reference.owned))
+    return Reference(seen, reference.energies[rows], owned)
 
 
 def spread_frames(frames: int, count: int, generator: torch.Generator) -> Tensor:

@@ -19,6 +19,8 @@ class MAETraining:
 
     out: Path = Path("runs/mae")
     """Run folder."""
+    start: Path | None = None
+    """Weights to go on from, for example to tune the shipped ones to your clips; none starts from noise."""
     data: DataConfig = field(default_factory=DataConfig)
     network: MAEConfig = field(default_factory=MAEConfig)
     pictures: PictureConfig = field(default_factory=PictureConfig)

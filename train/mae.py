@@ -1,13 +1,15 @@
 """The training program of the inpainting MAE, and how well it inpaints."""
 
+import json
 from pathlib import Path
 
 import torch
 from torch import Tensor
 
-from refine.mae import MAE
+from refine.mae import MAE, load_mae
 from refine.patches import patchify
 from renderers.body import Body
+from renderers.checks import UserError
 from renderers.mesh import Mesh
 from renderers.skeleton import DRAWN_PARTS
 from train.checkpoints import hash_motions, provenance
@@ -35,9 +37,8 @@ def train_mae(config: MAETraining) -> Path:
         "data": {"source": config.data.source, "clips": len(train), "held_out_clips": len(test)},
         "pictures": config.pictures,
     }
-    with torch.random.fork_rng():
-        torch.manual_seed(seed_of(config.loop.seed))
-        mae = MAE(config.network).to(config.device)
+    mae, record["start"] = first_weights(config)
+    mae = mae.to(config.device)
     draw = drawing(body, config)
     poses, unseen = (
         Poses(*(value.to(config.device) for value in poses_of(clips, rest_joints, config.pictures.pinned)))
@@ -62,6 +63,22 @@ def train_mae(config: MAETraining) -> Path:
         lambda: measure(mae, held_out, mean, config.body_weight),
         config.resume,
     )
+
+
+def first_weights(config: MAETraining) -> tuple[MAE, dict | None]:
+    """The network to train, and the description of the weights that it starts from.
+
+    Raises:
+        UserError: the weights cannot be read, or are of another network than the configuration's.
+    """
+    if config.start is None:
+        with torch.random.fork_rng():
+            torch.manual_seed(seed_of(config.loop.seed))
+            return MAE(config.network), None
+    mae = load_mae(config.start).requires_grad_(True)
+    if mae.config != config.network:
+        raise UserError(config.start, f"holds {mae.config}", f"give the same network, not {config.network}")
+    return mae, json.loads(config.start.with_suffix(".json").read_text())
 
 
 def drawing(body: Body, config: MAETraining):

@@ -6,29 +6,28 @@ new there; turned, moved and zoomed at random, so that it does not learn one cam
 
 import math
 from dataclasses import dataclass
-from typing import Literal, NamedTuple
+from typing import NamedTuple
 
 import torch
 from torch import Tensor
 
 from refine.attention import attention_map
-from refine.decoupling import Clips, pin, reach
 from refine.energies import energy_signal, joint_energies
 from refine.motion import Motion
 from refine.patches import keep_random, keep_top, patch_means
+from refine.seeing import Clips, Pinning, draw, pin, reach
 from renderers.body import Body
 from renderers.camera import frame
 from renderers.checks import UserError
 from renderers.mesh import Mesh
 from renderers.rotations import rotation_about
-from renderers.silhouette import silhouette
 
 
 @dataclass(frozen=True)
 class PictureConfig:
     """How single actions are drawn and masked."""
 
-    pinned: Literal["sequence", "frame", "body"] = "body"
+    pinned: Pinning = "trunk"
     """What is taken out before drawing, as in ``DecouplingConfig``."""
     yaw: float = 120.0
     """Largest turn of the camera to either side, degrees."""
@@ -61,7 +60,7 @@ class Pictures(NamedTuple):
     shown: Tensor  # [N C] bool, True = the part may be seen where the patch is visible
 
 
-def poses_of(motions: list[Motion], rest_joints: Tensor, pinned: str) -> Poses:
+def poses_of(motions: list[Motion], rest_joints: Tensor, pinned: Pinning) -> Poses:
     """All frames of clips of two frames or more.
 
     Raises:
@@ -100,9 +99,8 @@ def draw_pictures(
     margin = config.zoom * float(torch.rand((), generator=random))
     camera = frame(reach(body.rest_joints, config.pinned), (size, size), margin=margin)
     with torch.no_grad():
-        posed = body(rotations, root)
-        images = silhouette(posed.vertices, mesh, camera)
-        attention = patch_means(attention_map(energies, camera.project(posed.joints), (size, size)), patch)
+        images, joints_px = draw(body, mesh, rotations, root, [camera], config.pinned)
+        attention = patch_means(attention_map(energies, joints_px, (size, size)), patch)
     by_attention = torch.rand(count, 1, generator=random) < config.attention_share
     at_random = keep_random(count, attention.shape[1], config.kept, random)
     kept = torch.where(by_attention.to(images.device), keep_top(attention, config.kept), at_random.to(images.device))

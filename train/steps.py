@@ -7,11 +7,12 @@ import torch
 from torch import Tensor
 
 from refine.coupling import CouplingConfig, couple_features
-from refine.decoupling import Clips, Decoupler
+from refine.decoupling import Decoupler
 from refine.generator import Generator, label_weights, stand
 from refine.mae import MAE
 from refine.motion import from_features
 from refine.patches import patchify
+from refine.seeing import Clips
 from renderers.skeleton import forward_kinematics
 from train.data import Pairs
 from train.pictures import Pictures

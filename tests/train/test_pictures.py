@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
-from refine.decoupling import Clips, Decoupler, DecouplingConfig
+from refine.decoupling import Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
+from refine.seeing import Clips
 from renderers.body import Body
 from renderers.checks import UserError
 from renderers.mesh import Mesh

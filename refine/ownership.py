@@ -1,0 +1,62 @@
+"""Ownership: which sub-action answers for which body part.
+
+Coupling compares the two actions' energies, so a wild action keeps a say in limbs that it only swings along. Here each
+action's energy is put as a share of its own, and measured where a part itself turns, so that an arm does not count for
+being carried along: a part belongs to the action that lives in it more than the other does.
+"""
+
+from typing import NamedTuple
+
+import torch
+from torch import Tensor
+
+from renderers.checks import check_shapes
+from renderers.skeleton import DRAWN_PARTS, PART_NAMES, PARTS, part_of_joint
+
+PART_OF_CHANNEL = [part_of_joint(PARTS)[joints[-1]] for joints in DRAWN_PARTS.values()]
+TORSO = PART_NAMES.index("torso")
+ARMS = [PART_NAMES.index(name) for name in ("left_arm", "right_arm")]
+
+
+class Owned(NamedTuple):
+    """One sub-action's part in each channel of a picture."""
+
+    answers: Tensor  # [B C] in 0..1: how much its picture is the one to match
+    shown: Tensor  # [B C] bool: False where the channel shows what the other owns
+
+
+def everything(batch: int, channels: int) -> tuple[Owned, Owned]:
+    """Both sub-actions answer for every channel, as published."""
+    owned = Owned(torch.ones(batch, channels), torch.ones(batch, channels, dtype=torch.bool))
+    return owned, owned
+
+
+def by_shares(energies_i: Tensor, energies_j: Tensor, contested: float, quiet: float) -> tuple[Owned, Owned]:
+    """Divide the drawn parts between two sub-actions.
+
+    A part that both live in, or neither, is nobody's: it stays as coupling made it. An arm that neither moves goes with
+    whoever moves the torso that carries it.
+
+    Args:
+        energies_i, energies_j: [B 5] part energies (Eq. 2) of local rotations.
+        contested: where the smaller share is this fraction of the larger, both live in the part; half of it is clear.
+        quiet: share of its energy that an action must hold in a part to own it fully; with half of it it owns nothing.
+
+    Returns:
+        what i and what j own, C = 6 drawn parts (the head goes with the torso).
+    """
+    check_shapes("by_shares", energies_i=(energies_i, "B 5"), energies_j=(energies_j, "B 5"))
+    of_i, of_j = (e / e.sum(-1, keepdim=True).clamp(min=1e-12) for e in (energies_i, energies_j))
+    larger, smaller = torch.maximum(of_i, of_j), torch.minimum(of_i, of_j)
+    loudness = (2 * larger / quiet - 1).clamp(0, 1)
+    clear = ((contested - smaller / larger.clamp(min=1e-12)) / (contested / 2)).clamp(0, 1)
+    is_i, sure = of_i >= of_j, loudness * clear
+    carried = sure[:, TORSO, None] * (1 - loudness[:, ARMS])
+    follows = carried > sure[:, ARMS]
+    is_i[:, ARMS] = torch.where(follows, is_i[:, TORSO, None], is_i[:, ARMS])
+    sure[:, ARMS] = torch.where(follows, carried, sure[:, ARMS])
+    sides = []
+    for mine in (is_i, ~is_i):
+        shown = mine | (sure < 0.5)
+        sides.append(Owned((sure * mine)[:, PART_OF_CHANNEL], shown[:, PART_OF_CHANNEL]))
+    return tuple(sides)

@@ -1,0 +1,92 @@
+"""Seeing: motions as pictures that can be compared, with gradients back to the motions (f_R of Eq. 4)."""
+
+import math
+from typing import Literal, NamedTuple
+
+import torch
+from torch import Tensor
+
+from renderers.body import Body
+from renderers.camera import Camera
+from renderers.mesh import Mesh
+from renderers.rotations import heading, rotation_about
+from renderers.silhouette import silhouette
+from renderers.skeleton import DRAWN_PART_NAMES, JOINTS
+
+Pinning = Literal["sequence", "frame", "body", "trunk"]
+"""What is taken out of motions before they are drawn (protocol B.4 no. 24): the first frame's place and heading, as
+published; every frame's; every frame's pelvis, place and orientation; or that, with the limbs on a straight trunk, so
+that one action's arm can be compared though the trunk is the other's (the trunk itself is drawn as it bends)."""
+
+SPINE = [JOINTS[name] for name in ("spine1", "spine2", "spine3")]
+TRUNK_CHANNELS = [DRAWN_PART_NAMES.index(name) for name in ("torso", "head")]
+
+
+class Clips(NamedTuple):
+    """A batch of motions of equal length."""
+
+    rotations: Tensor  # [B T 24 3 3] local, joint 0 the global orientation
+    root: Tensor  # [B T 3] metres, the pelvis
+
+
+class Seen(NamedTuple):
+    """Bodies as the cameras see them; N runs over bodies, then views."""
+
+    pictures: Tensor  # [N C H W] part silhouettes, 0..1
+    joints_px: Tensor  # [N 24 2] pixels (x, y)
+
+
+def pin(clips: Clips, mode: Pinning) -> Clips:
+    """Take out of motions what should not be compared."""
+    rotations, root = clips
+    if mode in ("body", "trunk"):
+        upright = torch.eye(3).to(rotations).expand_as(rotations[:, :, :1])
+        return Clips(torch.cat([upright, rotations[:, :, 1:]], dim=2), torch.zeros_like(root))
+    first = slice(0, 1) if mode == "sequence" else slice(None)
+    turn = rotation_about("y", -heading(rotations[:, first, 0]))
+    origin = root[:, first] * root.new_tensor([1.0, 0.0, 1.0])
+    pelvis = (turn @ rotations[:, :, 0])[:, :, None]
+    return Clips(torch.cat([pelvis, rotations[:, :, 1:]], dim=2), (turn @ (root - origin)[..., None])[..., 0])
+
+
+def straighten(rotations: Tensor) -> Tensor:
+    """rotations [N 24 3 3] with the spine's joints as in the T-pose."""
+    bent = torch.ones(24, 1, 1, dtype=torch.bool, device=rotations.device)
+    bent[SPINE] = False
+    return torch.where(bent, rotations, torch.eye(3).to(rotations))
+
+
+def reach(rest_joints: Tensor, mode: Pinning) -> Tensor:
+    """[32 3] metres: the rims of an upright drum that holds a body in any usual pose, pinned in ``mode``.
+
+    Round, so that every view shows the body equally large.
+    """
+    height = float(rest_joints[:, 1].max() - rest_joints[:, 1].min())
+    angle = torch.arange(16) * (2 * math.pi / 16)
+    rim = torch.stack([angle.sin(), torch.zeros(16), angle.cos()], dim=1) * (0.73 * height)
+    ends = (-0.03, 1.43) if mode in ("sequence", "frame") else (-0.73, 0.73)
+    return torch.cat([rim + torch.tensor([0.0, end * height, 0.0]) for end in ends]).to(rest_joints)
+
+
+def draw(body: Body, mesh: Mesh, rotations: Tensor, root: Tensor, cameras: list[Camera], mode: Pinning) -> Seen:
+    """Draw pinned bodies in every view.
+
+    Args:
+        rotations: [N 24 3 3], root: [N 3] metres, both as ``pin`` leaves them.
+        mode: "trunk" draws the limbs on a straight trunk; it needs a mesh with a channel for each drawn part.
+    """
+    posed = body(rotations, root)
+    pictures = [silhouette(posed.vertices, mesh, camera) for camera in cameras]
+    if mode == "trunk":
+        posed = body(straighten(rotations), root)
+        limbs = [silhouette(posed.vertices, mesh, camera) for camera in cameras]
+        pictures = [take_trunk(bent, straight) for bent, straight in zip(pictures, limbs, strict=True)]
+    joints_px = [camera.project(posed.joints) for camera in cameras]
+    return Seen(torch.stack(pictures, 1).flatten(0, 1), torch.stack(joints_px, 1).flatten(0, 1))
+
+
+def take_trunk(bent: Tensor, straight: Tensor) -> Tensor:
+    """Pictures [N 6 H W] with torso and head of ``bent`` and the limbs of ``straight``."""
+    trunk = torch.zeros(len(DRAWN_PART_NAMES), 1, 1, dtype=torch.bool, device=bent.device)
+    trunk[TRUNK_CHANNELS] = True
+    return torch.where(trunk, bent, straight)
