@@ -1,8 +1,9 @@
 """Draws docs/demo.png, the picture at the top of the README: what `refine demo` composes.
 
-Run as ``python tools/draw_readme.py``; about half a minute.
+Run as ``python tools/draw_readme.py``; about half a minute. ``--mae`` takes other weights than the shipped ones.
 """
 
+import argparse
 from pathlib import Path
 
 import torch
@@ -19,14 +20,20 @@ PICTURE = Path(__file__).resolve().parents[1] / "docs" / "demo.png"
 
 
 def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__.splitlines()[0])
+    parser.add_argument("--mae", type=Path, help="weights of `refine train mae`; default: the shipped ones")
+    parser.add_argument("--out", type=Path, default=PICTURE)
+    flags = parser.parse_args()
+
     demo = Demo()
     body, random, frames = body_of(None), torch.Generator().manual_seed(demo.seed), round(demo.seconds * FPS)
     i, j = (perform(draw(name, random, FPS), frames, body.rest_joints) for name in demo.actions)
-    both = compose(i, j, judge_of(body)).motion
-    rows = strip([i, j, both], body_of(None, "full"), poses=8, height=250)
-    save_png(PICTURE, contact_sheet([[row] for row in rows], [*demo.actions, "both, refined"]))
-    with Image.open(PICTURE) as picture:  # a palette of 256 colours is enough, at a third of the size
-        picture.quantize(256).save(PICTURE, optimize=True)
+    made = compose(i, j, judge_of(body, flags.mae)).motions()
+    rows = strip([i, j, *made.values()], body_of(None, "full"), poses=8, height=210)
+    captions = [*demo.actions, "coupled: blended by energies", "refined: after the loop"]
+    save_png(flags.out, contact_sheet([[row] for row in rows], captions))
+    with Image.open(flags.out) as picture:  # a palette of 256 colours is enough, at a third of the size
+        picture.quantize(256).save(flags.out, optimize=True)
 
 
 if __name__ == "__main__":
