@@ -17,7 +17,7 @@ from timm.models.vision_transformer import Block
 from torch import Tensor, nn
 
 from refine.patches import grid_of
-from renderers.checks import ShapeError, UserError, check_shapes
+from renderers.checks import ShapeError, UserError, check_range, check_shapes
 
 
 @dataclass(frozen=True)
@@ -36,6 +36,15 @@ class MAEConfig:
     decoder_width: int = 128
     decoder_depth: int = 2
     decoder_heads: int = 4
+
+    def __post_init__(self):
+        check_range(self, 1, 4096, *vars(self))
+        if self.size % self.patch:
+            raise UserError("MAEConfig(patch)", f"a picture of {self.size} px has no whole patches of {self.patch} px")
+        for name in ("", "decoder_"):
+            width, heads = (getattr(self, name + value) for value in ("width", "heads"))
+            if width % heads or width % 4:
+                raise UserError(f"MAEConfig({name}width)", f"{width} is not divisible by 4 and by {heads} heads")
 
 
 def sincos_positions(width: int, grid: tuple[int, int]) -> Tensor:

@@ -6,6 +6,7 @@ An error names the place, what was expected, what came, and what to do next, in 
 from __future__ import annotations  # torch is named below, but not imported: the command line answers --help without it
 
 import difflib
+import math
 from collections.abc import Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
@@ -96,6 +97,19 @@ def check_finite(
         f"value {array[tuple(first)]} at {place} ({int(bad.sum())} of {bad.size} values are not finite)",
         "repair or crop the file",
     )
+
+
+def check_range(config: object, low: float, high: float, *names: str):
+    """Refuse numbers of a configuration that are not from ``low`` to ``high``; NaN never is.
+
+    Raises:
+        UserError: naming the configuration, the first such field, the range and the value.
+    """
+    for name in names:
+        value = getattr(config, name)
+        if not low <= value <= high:
+            expected = f"{low} or more" if high == math.inf else f"{low} to {high}"
+            raise UserError(f"{type(config).__name__}({name})", f"expected {expected}, got {value}")
 
 
 def check_known(where: str | Path, name: str, known: Iterable[str]):

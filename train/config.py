@@ -1,5 +1,6 @@
 """Whole runs as values: what `refine train` takes, and its presets."""
 
+import math
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Literal
@@ -7,6 +8,8 @@ from typing import Literal
 from refine.coupling import CouplingConfig
 from refine.decoupling import DecouplingConfig
 from refine.mae import MAEConfig
+from renderers.checks import UserError, check_range
+from renderers.skeleton import DRAWN_PARTS
 from train.data import DataConfig
 from train.loop import LoopConfig
 from train.pictures import PictureConfig
@@ -37,6 +40,12 @@ class MAETraining:
     resume: bool = False
     """Go on with the run in ``out``."""
 
+    def __post_init__(self):
+        check_range(self, 1, math.inf, "batch", "measured")
+        if self.network.channels not in (1, len(DRAWN_PARTS)):
+            problem = f"bodies are drawn in 1 or {len(DRAWN_PARTS)} channels, not {self.network.channels}"
+            raise UserError("MAEConfig(channels)", problem)
+
 
 @dataclass(frozen=True)
 class GeneratorTraining:
@@ -60,6 +69,12 @@ class GeneratorTraining:
     """As torch names it, for example ``cuda``. Random numbers are the same on every device."""
     resume: bool = False
     """Go on with the run in ``out``."""
+
+    def __post_init__(self):
+        check_range(self, 1, math.inf, "batch", "measured")
+        if self.loss.decoupling_frames > self.data.frames:
+            problem = f"{self.loss.decoupling_frames} of {self.data.frames} frames cannot be drawn"
+            raise UserError("GeneratorLoss(decoupling_frames)", problem)
 
 
 MAE_LOOP = LoopConfig(

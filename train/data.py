@@ -1,5 +1,6 @@
 """Clips into batches: one frame rate, windows of a fixed length, pairs of sub-actions (protocol A.4, B.3, B.4)."""
 
+import math
 from collections import defaultdict
 from dataclasses import dataclass
 from pathlib import Path
@@ -10,7 +11,7 @@ from torch import Tensor
 
 from refine.coupling import sample_lam
 from refine.motion import Motion, canonicalise, crop, resample, to_features
-from renderers.checks import UserError, check_known
+from renderers.checks import UserError, check_known, check_range
 
 
 @dataclass(frozen=True)
@@ -36,6 +37,14 @@ class DataConfig:
     synthetic_seconds: float = 4.0
     seed: int = 0
     """Of the built-in clips and of the split."""
+
+    def __post_init__(self):
+        check_range(self, 2, 100_000, "frames")
+        check_range(self, 1, math.inf, "synthetic_clips")
+        check_range(self, 0.1, 600, "synthetic_seconds")
+        check_range(self, 1, 1000, "fps")
+        check_range(self, 0, 0.9, "held_out")
+        check_range(self, 0, 2**32 - 1, "seed")
 
 
 class Pairs(NamedTuple):

@@ -18,7 +18,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
-from renderers.checks import UserError
+from renderers.checks import UserError, check_range
 from train.checkpoints import load_state, replace_file, save_state, save_weights, to_json
 from train.curves import draw_curves
 
@@ -49,10 +49,9 @@ class LoopConfig:
     seed: int = 10
 
     def __post_init__(self):
-        for name in ("steps", "log_every", "save_every"):
-            if getattr(self, name) < 1:
-                raise UserError(f"LoopConfig({name})", f"{getattr(self, name)} is not a positive number")
-        if not self.learning_rate > 0:
+        check_range(self, 1, math.inf, "steps", "log_every", "save_every")
+        check_range(self, 0, 2**32 - 1, "seed", "warmup")
+        if not 0 < self.learning_rate < math.inf:
             raise UserError("LoopConfig(learning_rate)", f"{self.learning_rate} is not positive")
 
 

@@ -18,7 +18,7 @@ from refine.patches import keep_random, keep_top, patch_means
 from refine.seeing import Clips, Pinning, draw, pin, reach
 from renderers.body import Body
 from renderers.camera import frame
-from renderers.checks import UserError
+from renderers.checks import UserError, check_range
 from renderers.mesh import Mesh
 from renderers.rotations import rotation_about
 
@@ -42,6 +42,12 @@ class PictureConfig:
     parts_hidden: float = 0.5
     """Share of the pictures that lack some body parts altogether, as the decoupling loss hides what it does not ask
     about. Needs a channel for each part."""
+
+    def __post_init__(self):
+        check_range(self, 0.01, 0.99, "kept")
+        check_range(self, 0, 1, "attention_share", "parts_hidden")
+        check_range(self, 0, 180, "yaw")
+        check_range(self, 0, 1, "shift", "zoom")
 
 
 class Poses(NamedTuple):

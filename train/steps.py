@@ -1,5 +1,6 @@
 """Loss terms of one training step, as functions of a batch and the models."""
 
+import math
 from dataclasses import dataclass
 from typing import Literal
 
@@ -13,6 +14,7 @@ from refine.mae import MAE
 from refine.motion import from_features
 from refine.patches import patchify
 from refine.seeing import Clips
+from renderers.checks import check_range
 from renderers.skeleton import forward_kinematics
 from train.data import Pairs
 from train.pictures import Pictures
@@ -34,6 +36,10 @@ class GeneratorLoss:
     """Clips of a batch that are drawn."""
     decoupling_frames: int = 2
     """Random frames of each that are drawn: an estimate of the mean over all (protocol B.4 no. 25)."""
+
+    def __post_init__(self):
+        check_range(self, 0, math.inf, "joints", "kl", "decoupling")
+        check_range(self, 1, math.inf, "decoupling_clips", "decoupling_frames")
 
 
 def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:

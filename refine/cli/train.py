@@ -6,6 +6,8 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 from tyro.extras import subcommand_type_from_defaults
 
+from renderers.outputs import check_place
+
 if TYPE_CHECKING:
     from train.config import GeneratorTraining, MAETraining
 
@@ -28,7 +30,9 @@ def preset_type(presets: dict[str, tuple[str, Any]]) -> Any:
     return subcommand_type_from_defaults(defaults, {name: said for name, (said, _) in presets.items()})
 
 
-def seeded(config: Any, seed: int | None) -> Any:
+def checked(config: Any, seed: int | None) -> Any:
+    """The configuration with the seed, if one is given, and a run folder that can be made."""
+    check_place(config.out)
     return config if seed is None else replace(config, loop=replace(config.loop, seed=seed))
 
 
@@ -48,7 +52,7 @@ class TrainMAE:
     def run(self) -> None:
         from train.mae import train_mae
 
-        config: MAETraining = seeded(self.config, self.seed)
+        config: MAETraining = checked(self.config, self.seed)
         print(train_mae(config))
 
 
@@ -68,5 +72,5 @@ class TrainGenerator:
     def run(self) -> None:
         from train.generator import train_generator
 
-        config: GeneratorTraining = seeded(self.config, self.seed)
+        config: GeneratorTraining = checked(self.config, self.seed)
         print(train_generator(config))

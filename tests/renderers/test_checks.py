@@ -1,10 +1,13 @@
 """Checks: names bind, and an error is one line that names the place, the expectation, the fact and the remedy."""
 
+import math
+from dataclasses import dataclass
+
 import numpy as np
 import pytest
 import torch
 
-from renderers.checks import ShapeError, UserError, check_finite, check_shapes
+from renderers.checks import ShapeError, UserError, check_finite, check_range, check_shapes
 
 
 def test_a_user_error_is_one_line():
@@ -54,3 +57,17 @@ def test_the_first_value_that_is_not_finite_is_named():
 
 def test_finite_values_pass():
     check_finite("x", np.array([0.0, -1e300]), "frame")
+
+
+@dataclass(frozen=True)
+class Size:
+    width: float = 1.0
+    height: float = 1.0
+
+
+def test_a_range_holds_its_ends_and_no_nan():
+    check_range(Size(1, 4), 1, 4, "width", "height")
+    with pytest.raises(UserError, match=r"Size\(height\): expected 1 to 4, got 5"):
+        check_range(Size(1, 5), 1, 4, "width", "height")
+    with pytest.raises(UserError, match=r"Size\(width\): expected 0 or more, got nan"):
+        check_range(Size(math.nan), 0, math.inf, "width")

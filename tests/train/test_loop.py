@@ -241,7 +241,7 @@ def test_seeds_differ_by_every_key():
 
 
 def test_impossible_configurations_are_refused():
-    with pytest.raises(UserError, match=r"LoopConfig\(steps\): 0 is not a positive number"):
+    with pytest.raises(UserError, match=r"LoopConfig\(steps\): expected 1 or more, got 0"):
         LoopConfig(steps=0)
     with pytest.raises(UserError, match="learning_rate"):
         LoopConfig(learning_rate=0.0)
