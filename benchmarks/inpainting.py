@@ -7,7 +7,8 @@ patch. A clip is one sample, since its frames resemble each other; differences a
 
 Ranking: Eq. 7's term for the sub-action that was composed must be lower than for another action of its kind (legs or
 arms) in its place. The composition is that sub-action itself, its coupling with a second action, or the two performed
-at once. Where ownership divides the picture, a term is taken per owned part: to own little is no merit.
+at once. Where ownership divides the picture, both are asked about the parts that the right one owns; a pair in which it
+owns none is not asked about, and counts as wrong.
 """
 
 import argparse
@@ -26,7 +27,7 @@ from torch import Tensor
 from tqdm import tqdm
 
 from refine.coupling import couple
-from refine.decoupling import PAPER, Decoupler, DecouplingConfig
+from refine.decoupling import PAPER, Decoupler, DecouplingConfig, Reference
 from refine.formats.files import load_motion
 from refine.intervals import mean_interval, share_interval
 from refine.mae import MAE, load_mae
@@ -34,6 +35,7 @@ from refine.motion import Motion
 from refine.refinement import spread_frames
 from refine.seeing import Clips
 from renderers.body import Body
+from renderers.camera import Camera
 from train.checkpoints import commit, read_weights
 from train.config import MAETraining
 from train.data import DataConfig, load_clips_for
@@ -94,24 +96,32 @@ def judgements(pairs: list[Pair], decoupler: Decoupler) -> list[dict]:
         if pair.truth:
             compositions["true"] = pair.truth
         frame = spread_frames(min(len(right), len(wrong)), 1, torch.Generator().manual_seed(index))
-        of_right, of_wrong = (terms(target, other, compositions, decoupler, frame) for target in (right, wrong))
+        ask_right, ask_wrong = (Question.build(target, other, decoupler, frame) for target in (right, wrong))
+        ask_wrong = ask_wrong._replace(reference=ask_wrong.reference._replace(owned=ask_right.reference.owned))
         row = {"kind": kind, "right": right.label, "wrong": wrong.label, "other": other.label}
-        rows.append(row | {name: of_right[name] < of_wrong[name] for name in compositions})
+        row["asked"] = bool(ask_right.reference.owned.answers.any())
+        for name, motion in compositions.items():
+            row[name] = ask_right.term(motion, decoupler, frame) < ask_wrong.term(motion, decoupler, frame)
+        rows.append(row)
     return rows
 
 
-@torch.no_grad()
-def terms(
-    target: Motion, other: Motion, compositions: dict[str, Motion], decoupler: Decoupler, frame: Tensor
-) -> dict[str, float]:
-    """Eq. 7's term of each composition, per owned part, if ``target`` and ``other`` were what was composed."""
-    cameras = decoupler.cameras(batch(target), batch(other))
-    reference, _ = decoupler.references(batch(target), batch(other), frame, cameras)
-    found = {}
-    for name, motion in compositions.items():
-        loss = decoupler.complete(decoupler.see(batch(motion), frame, cameras), reference).loss
-        found[name] = float((loss / reference.owned.answers.mean(1)).mean())
-    return found
+class Question(NamedTuple):
+    """Is one sub-action still recognisable in a composition? One side of Eq. 7."""
+
+    cameras: list[Camera]
+    reference: Reference
+
+    @classmethod
+    def build(cls, target: Motion, other: Motion, decoupler: Decoupler, frame: Tensor) -> "Question":
+        cameras = decoupler.cameras(batch(target), batch(other))
+        return cls(cameras, decoupler.references(batch(target), batch(other), frame, cameras)[0])
+
+    @torch.no_grad()
+    def term(self, composition: Motion, decoupler: Decoupler, frame: Tensor) -> float:
+        """Mean over the views of the frame [1 1]."""
+        seen = decoupler.see(batch(composition), frame, self.cameras)
+        return float(decoupler.complete(seen, self.reference).loss.mean())
 
 
 def batch(motion: Motion) -> Clips:
@@ -121,11 +131,12 @@ def batch(motion: Motion) -> Clips:
 def shares(rows: list[dict]) -> dict:
     """Share ranked right of each composition, over all pairs and by kind."""
     kinds = {"all": rows} | {kind: [row for row in rows if row["kind"] == kind] for kind in ("legs", "arms")}
-    return {
+    found = {
         name: {kind: share_interval(sum(row[name] for row in chosen), len(chosen)) for kind, chosen in kinds.items()}
         for name in ("itself", "coupled", "true")
         if name in rows[0]
     }
+    return {"asked": {kind: sum(row["asked"] for row in chosen) for kind, chosen in kinds.items()}} | found
 
 
 def tables(report: dict) -> str:
@@ -144,15 +155,17 @@ def tables(report: dict) -> str:
                 lines.append(f"| {' | '.join(cells)} |")
     lines += [
         "",
-        "| clips | configuration | composition | right [95 %] | by legs | by arms |",
-        "|---|---|---|---|---|---|",
+        "| clips | configuration | composition | right [95 %] | by legs | by arms | asked of legs, arms |",
+        "|---|---|---|---|---|---|---|",
     ]
     for data, by_config in report["ranking"].items():
         for config, by_composition in by_config.items():
-            for composition, by_kind in by_composition.items():
-                n = by_kind["all"]["n"]
-                found = [f"{one['share']:.1%} {ci(one['ci95'], '.1%')}" for one in by_kind.values()]
-                lines.append(f"| {' | '.join([f'{data} ({n})', config, composition, *found])} |")
+            asked = f"{by_composition['asked']['legs']}, {by_composition['asked']['arms']}"
+            for composition in ("itself", "coupled", "true"):
+                if by_kind := by_composition.get(composition):
+                    found = [f"{one['share']:.1%} {ci(one['ci95'], '.1%')}" for one in by_kind.values()]
+                    cells = [f"{data} ({by_kind['all']['n']})", config, composition, *found, asked]
+                    lines.append(f"| {' | '.join(cells)} |")
     return "\n".join(lines)
 
 
