@@ -15,6 +15,7 @@ from refine.motion import to_features
 from refine.patches import keep_random, patchify
 from renderers.body import Body
 from renderers.rotations import axis_angle_to_matrix, matrix_to_6d
+from renderers.skeleton import PARTS
 from train.data import Pairs
 from train.pictures import Pictures
 from train.steps import (
@@ -51,17 +52,21 @@ def decoupler(body) -> Decoupler:
 
 @pytest.fixture(scope="module")
 def batch() -> Pairs:
+    """The first action moves the legs most, the second the arms: each has parts to answer for."""
     random = torch.Generator().manual_seed(0)
 
-    def features():
-        turns = 0.2 * torch.randn(CLIPS, FRAMES, 24, 3, generator=random)
+    def features(*parts):
+        size = torch.full((24, 1), 0.02)
+        size[[joint for part in parts for joint in PARTS[part]]] = 0.2
+        turns = size * torch.randn(CLIPS, FRAMES, 24, 3, generator=random)
         return to_features(matrix_to_6d(axis_angle_to_matrix(turns)), torch.zeros(CLIPS, FRAMES, 3))
 
     height = torch.full((CLIPS,), 0.9)
     valid = torch.ones(CLIPS, FRAMES, dtype=torch.bool)
     valid[1, 5:] = False
     index = torch.zeros(CLIPS, dtype=torch.long)
-    return Pairs(features(), features(), height, height, index, index + 1, torch.full((CLIPS,), 0.5), valid)
+    sides = features("left_leg", "right_leg"), features("left_arm", "right_arm")
+    return Pairs(*sides, height, height, index, index + 1, torch.full((CLIPS,), 0.5), valid)
 
 
 def step(batch, model, body, decoupler=None, seed=0, **loss):
