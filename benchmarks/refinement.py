@@ -10,26 +10,31 @@ action also swings an arm that the other action needs.
 import argparse
 import json
 import platform
-import subprocess
+import shlex
+import sys
 import time
 from dataclasses import asdict
 from multiprocessing import Pool
 from pathlib import Path
-from statistics import NormalDist, mean, stdev
+from statistics import mean
 
 import torch
+from torch import Tensor, nn
 from tqdm import tqdm
 
 from refine import synthetic
 from refine.coupling import couple
-from refine.decoupling import Decoupler, DecouplingConfig
+from refine.decoupling import PAPER, Decoupler, DecouplingConfig
 from refine.formats.files import load_motion
-from refine.mae import load_mae
+from refine.intervals import mean_interval
+from refine.mae import MAE, load_mae
 from refine.metrics import foot_skate, jitter, joint_errors, mean_joint_error, part_errors
 from refine.motion import canonicalise, crop
+from refine.patches import patchify
 from refine.refinement import RefinementConfig, refine_motion
 from renderers.body import Body
 from renderers.skeleton import PARTS
+from train.checkpoints import commit
 
 FRAMES = 60
 # (legs' action, arms' action); an overlapping pair's legs' action swings an arm that the other needs.
@@ -46,6 +51,24 @@ REAL_ARMS = {
     "raise-up-right-hand": ("right_arm",),
     "raise-up-both-hands": ("left_arm", "right_arm"),
 }
+
+
+class AsItIs(nn.Module):
+    """Inpaints nothing: the loss compares pictures as they are drawn."""
+
+    def __init__(self, config):
+        super().__init__()
+        self.config = config
+
+    def forward(self, images: Tensor, kept: Tensor) -> Tensor:
+        return patchify(images, self.config.patch)
+
+
+def inpainter(name: str, weights: Path | None) -> nn.Module:
+    """The trained MAE, a fresh one of its size, or none: what is the training worth?"""
+    trained = load_mae(weights)
+    torch.manual_seed(0)
+    return {"trained": trained, "untrained": MAE(trained.config), "none": AsItIs(trained.config)}[name]
 
 
 def built_in_pair(index: int, seed: int, rest_joints):
@@ -91,7 +114,7 @@ def measure(task: tuple) -> dict:
         i, j, needed = real_pair(index, seed, folder, rest)
     coupled = couple(i, j, rest).motion
     start = time.perf_counter()
-    refined = refine_motion(coupled, i, j, Decoupler(body, load_mae(mae), decoupling), refinement)
+    refined = refine_motion(coupled, i, j, Decoupler(body, inpainter(*mae), decoupling), refinement)
     seconds = time.perf_counter() - start
     row = {"pair": index, "i": i.label or i.source, "j": j.label or j.source, "overlaps": bool(index % 2)}
     row |= {"seconds": seconds, "loss_before": float(refined.before.loss), "loss_after": float(refined.after.loss)}
@@ -108,27 +131,20 @@ def measure(task: tuple) -> dict:
     return row
 
 
-def interval(values: list[float]) -> dict:
-    """Mean, standard deviation and normal 95 % interval over pairs."""
-    spread = stdev(values) if len(values) > 1 else 0.0
-    half = NormalDist().inv_cdf(0.975) * spread / len(values) ** 0.5
-    return {"mean": mean(values), "sd": spread, "ci95": [mean(values) - half, mean(values) + half], "n": len(values)}
-
-
 def summarise(rows: list[dict]) -> dict:
     """Means over pairs of every pair of numbers, and how much nearer refinement came."""
     summary = {}
     names = [key.removeprefix("coupled_") for key in rows[0] if key.startswith("coupled_") and key != "coupled_parts"]
     for name in names:
-        summary[name] = {who: interval([row[f"{who}_{name}"] for row in rows]) for who in ("coupled", "refined")}
+        summary[name] = {who: mean_interval([row[f"{who}_{name}"] for row in rows]) for who in ("coupled", "refined")}
     if "error" in names:
         gains = [1 - row["refined_error"] / row["coupled_error"] for row in rows]
         before, after = (summary["error"][who]["mean"] for who in ("coupled", "refined"))
-        summary["nearer"] = interval(gains) | {"of_means": 1 - after / before, "worst": min(gains)}
+        summary["nearer"] = mean_interval(gains) | {"of_means": 1 - after / before, "worst": min(gains)}
         summary["worse_by_over_5_percent"] = sum(gain < -0.05 for gain in gains)
         for kind in (False, True):
             chosen = [gain for gain, row in zip(gains, rows, strict=True) if row["overlaps"] is kind]
-            summary["nearer_overlapping" if kind else "nearer_calm"] = interval(chosen)
+            summary["nearer_overlapping" if kind else "nearer_calm"] = mean_interval(chosen)
         summary["parts"] = {
             part: {who: mean(row[f"{who}_parts"][part] for row in rows) for who in ("coupled", "refined")}
             for part in rows[0]["coupled_parts"]
@@ -142,19 +158,22 @@ def main() -> None:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--real", type=Path, help="folder of Bandai-Namco BVH clips; without it only built-in pairs")
     parser.add_argument("--mae", type=Path, help="an inpainter other than the shipped one")
+    parser.add_argument("--inpainter", choices=("trained", "untrained", "none"), default="trained")
+    parser.add_argument("--paper", action="store_true", help="judge by the loss as published, instead of ours")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()
-    decoupling, refinement = DecouplingConfig(), RefinementConfig()
+    decoupling, refinement = PAPER if args.paper else DecouplingConfig(), RefinementConfig()
     report = {
-        "command": "python benchmarks/refinement.py " + " ".join(f"--{k} {v}" for k, v in vars(args).items() if v),
-        "commit": subprocess.run(["git", "rev-parse", "HEAD"], capture_output=True, text=True).stdout.strip(),
+        "command": shlex.join(["python", *sys.argv]),
+        "commit": commit(),
         "hardware": f"{platform.machine()}, {args.workers} processes of one thread, torch {torch.__version__}",
         "decoupling": asdict(decoupling),
         "refinement": asdict(refinement),
     }
     for kind in ("built-in", "real") if args.real else ("built-in",):
-        tasks = [(kind, n, args.seed, args.real, decoupling, refinement, args.mae) for n in range(args.pairs)]
+        mae = (args.inpainter, args.mae)
+        tasks = [(kind, n, args.seed, args.real, decoupling, refinement, mae) for n in range(args.pairs)]
         with Pool(args.workers) as pool:
             rows = list(tqdm(pool.imap(measure, tasks), total=len(tasks), desc=kind))
         report[kind] = {"summary": summarise(rows), "pairs": rows}

@@ -13,7 +13,7 @@ from torch import Tensor, nn
 
 from refine.attention import attention_map
 from refine.energies import energy_signal, joint_energies, part_energies
-from refine.ownership import Owned, by_shares, everything
+from refine.ownership import Owned, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
 from refine.seeing import Clips, Pinning, Seen, draw, pin, reach
 from renderers.body import Body
@@ -34,13 +34,14 @@ class DecouplingConfig:
     """Yaw of each camera, degrees; 0 sees the front, 90 the left side."""
     pinned: Pinning = "trunk"
     """What is taken out of all three bodies alike before they are drawn, see ``seeing.Pinning``."""
-    ownership: Literal["none", "share"] = "share"
+    ownership: Literal["none", "standing"] = "standing"
     """Whether a sub-action answers for the whole picture (the paper) or for the parts that it lives in, and is asked
     with these alone; see ``ownership``."""
-    contested: float = 0.15
-    """Where the smaller share of energy is this fraction of the larger, nobody owns the part."""
-    quiet: float = 0.2
-    """Share of its energy that an action must hold in a part to own it fully; with half of it it owns nothing."""
+    contested: float = 0.5
+    """Where the smaller standing (an action's energy in a part over that in its most energetic part) is this fraction
+    of the larger, nobody owns the part; at half of it the owner is certain."""
+    quiet: float = 0.3
+    """Standing that an action must have in a part to own it for certain; with half of it it owns nothing."""
     attention_joints: Literal["sub_action", "composition", "both"] = "both"
     """Whose projected joints carry the attention (protocol B.4 no. 26). With the sub-action's alone (the paper) a limb
     that is elsewhere in the composition is cut off where the visible patches end, and the loss pushes it back there."""
@@ -154,7 +155,7 @@ class Decoupler(nn.Module):
         if self.config.ownership == "none":
             return everything(len(i.root), self.mesh.channels)
         turning = [part_energies(energy_signal(*clips, self.body.rest_joints, "rot6d")) for clips in (i, j)]
-        return by_shares(*turning, self.config.contested, self.config.quiet)
+        return by_standing(*turning, self.config.contested, self.config.quiet)
 
     def compare(self, composed: Seen, references: tuple[Reference, Reference]) -> Trace:
         """Eqs. 5 to 7 on pictures that are already drawn."""

@@ -1,8 +1,9 @@
 """Ownership: which sub-action answers for which body part.
 
-Coupling compares the two actions' energies, so a wild action keeps a say in limbs that it only swings along. Here each
-action's energy is put as a share of its own, and measured where a part itself turns, so that an arm does not count for
-being carried along: a part belongs to the action that lives in it more than the other does.
+Coupling compares the two actions' energies, so a wild action keeps a say in limbs that it only swings along. Here a
+part has a standing in each action: its energy over that of the action's most energetic part, measured where the part
+itself turns, so that an arm does not count for being carried along. A part belongs to the action in which it stands
+higher.
 """
 
 from typing import NamedTuple
@@ -31,7 +32,7 @@ def everything(batch: int, channels: int) -> tuple[Owned, Owned]:
     return owned, owned
 
 
-def by_shares(energies_i: Tensor, energies_j: Tensor, contested: float, quiet: float) -> tuple[Owned, Owned]:
+def by_standing(energies_i: Tensor, energies_j: Tensor, contested: float, quiet: float) -> tuple[Owned, Owned]:
     """Divide the drawn parts between two sub-actions.
 
     A part that both live in, or neither, is nobody's: it stays as coupling made it. An arm that neither moves goes with
@@ -39,14 +40,14 @@ def by_shares(energies_i: Tensor, energies_j: Tensor, contested: float, quiet: f
 
     Args:
         energies_i, energies_j: [B 5] part energies (Eq. 2) of local rotations.
-        contested: where the smaller share is this fraction of the larger, both live in the part; half of it is clear.
-        quiet: share of its energy that an action must hold in a part to own it fully; with half of it it owns nothing.
+        contested: where the smaller standing is this fraction of the larger, both live in the part; half is clear.
+        quiet: standing that an action must have in a part to own it for certain; with half of it it owns nothing.
 
     Returns:
         what i and what j own, C = 6 drawn parts (the head goes with the torso).
     """
-    check_shapes("by_shares", energies_i=(energies_i, "B 5"), energies_j=(energies_j, "B 5"))
-    of_i, of_j = (e / e.sum(-1, keepdim=True).clamp(min=1e-12) for e in (energies_i, energies_j))
+    check_shapes("by_standing", energies_i=(energies_i, "B 5"), energies_j=(energies_j, "B 5"))
+    of_i, of_j = (e / e.amax(-1, keepdim=True).clamp(min=1e-12) for e in (energies_i, energies_j))
     larger, smaller = torch.maximum(of_i, of_j), torch.minimum(of_i, of_j)
     loudness = (2 * larger / quiet - 1).clamp(0, 1)
     clear = ((contested - smaller / larger.clamp(min=1e-12)) / (contested / 2)).clamp(0, 1)

@@ -15,19 +15,19 @@ from refine.ownership import Owned
 from refine.seeing import Clips, Seen
 from renderers.checks import UserError
 from renderers.rotations import matrix_from_6d
-from renderers.skeleton import PARTS, forward_kinematics
+from renderers.skeleton import DRAWN_PARTS, JOINT_NAMES, PARTS, forward_kinematics, part_of_joint
 
 
 @dataclass(frozen=True)
 class RefinementConfig:
     """How far, how fast, and what must not be lost on the way."""
 
-    steps: int = 60
+    steps: int = 40
     frames: int = 8
     """Frames drawn in each step, spread over the clip, in one view; the views take turns."""
-    rate: float = 0.03
+    rate: float = 0.06
     """Adam's step for the shares along the line between the sub-actions."""
-    free_rate: float = 0.003
+    free_rate: float = 0.002
     """Adam's step for the free 6D offsets."""
     smooth_frames: float = 2.0
     """Standard deviation, in frames, of the smoothing that the free offsets pass through."""
@@ -60,8 +60,8 @@ def refine_motion(
     """Make both sub-actions recognisable in a composition again.
 
     The local rotations move in two ways: each body part along the line between the two sub-actions' rotations, by one
-    share for the whole clip (a half-blended limb can go to its owner); and freely, smooth in time. Travel and global
-    orientation stay.
+    share for the whole clip (a half-blended limb can go to its owner); and freely, smooth in time. Travel, global
+    orientation and parts that nobody answers for stay.
 
     Args:
         composed: the motion to refine; i, j: the sub-actions it was made of, frame for frame (longer ones are cut).
@@ -109,6 +109,7 @@ class Problem(NamedTuple):
 
     composed: Motion
     line: Tensor  # [T 24 6] from sub-action j to sub-action i
+    movable: Tensor  # [24 1] bool: somebody answers for the joint's part; the others stay
     smoother: Tensor  # [T T] rows sum to 1
     joints: Tensor  # [T 24 3] of the composition
     planted: Tensor  # [T 4] bool, for FEET
@@ -126,13 +127,13 @@ class Problem(NamedTuple):
         joints = composed.joints(decoupler.body.rest_joints)
         planted = planted_feet(joints, composed.fps)
         smoother = gaussian_rows(len(composed), config.smooth_frames).to(composed.root)
-        return cls(composed, i.six - j.six, smoother, joints, planted, references, cameras, decoupler, config)
+        movable = answered_joints(references)
+        return cls(composed, i.six - j.six, movable, smoother, joints, planted, references, cameras, decoupler, config)
 
     def rotations(self, shares: Tensor, offsets: Tensor) -> Tensor:
         """[T 24 3 3]; the global orientation is the composition's."""
-        moved = matrix_from_6d(
-            self.composed.six + spread_to_joints(shares)[:, None] * self.line + self.smoothed(offsets)
-        )
+        along = spread_to_joints(shares)[:, None] * self.line
+        moved = matrix_from_6d(self.composed.six + self.movable * (along + self.smoothed(offsets)))
         return torch.cat([self.composed.rotations[:, :1], moved[:, 1:]], dim=1)
 
     def smoothed(self, offsets: Tensor) -> Tensor:
@@ -164,6 +165,13 @@ def take_rows(reference: Reference, rows: Tensor) -> Reference:
     seen = Seen(*(value[rows] for value in reference.seen))
     owned = Owned(*(value[rows] for value in reference.owned))
     return Reference(seen, reference.energies[rows], owned)
+
+
+def answered_joints(references: tuple[Reference, Reference]) -> Tensor:
+    """[24 1] bool: joints in whose channel a sub-action is more likely than not to be the owner."""
+    answers = sum(reference.owned.answers[0] for reference in references)
+    channels = part_of_joint(DRAWN_PARTS) if len(answers) > 1 else [0] * len(JOINT_NAMES)
+    return (answers >= 0.5)[list(channels), None]
 
 
 def spread_frames(frames: int, count: int, generator: torch.Generator) -> Tensor:

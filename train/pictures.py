@@ -20,7 +20,7 @@ from renderers.body import Body
 from renderers.camera import frame
 from renderers.checks import UserError, check_range
 from renderers.mesh import Mesh
-from renderers.rotations import rotation_about
+from renderers.rotations import axis_angle_to_matrix, rotation_about
 
 
 @dataclass(frozen=True)
@@ -31,6 +31,8 @@ class PictureConfig:
     """What is taken out before drawing, as in ``DecouplingConfig``."""
     yaw: float = 120.0
     """Largest turn of the camera to either side, degrees."""
+    pose_noise: float = 0.0
+    """Standard deviation of a random turn of every joint, radians: poses beyond those of the clips."""
     shift: float = 0.05
     """Standard deviation of the body's place, metres."""
     zoom: float = 0.06
@@ -101,7 +103,9 @@ def draw_pictures(
     yaw = math.radians(config.yaw) * (2 * torch.rand(count, generator=random) - 1)
     turn = rotation_about("y", yaw).to(root)
     root = (turn @ root[..., None])[..., 0] + config.shift * torch.randn(count, 3, generator=random).to(root)
-    rotations = torch.cat([(turn @ rotations[:, 0])[:, None], rotations[:, 1:]], dim=1)
+    noise = config.pose_noise * torch.randn(count, 23, 3, generator=random).to(root)
+    posed = rotations[:, 1:] @ axis_angle_to_matrix(noise)
+    rotations = torch.cat([(turn @ rotations[:, 0])[:, None], posed], dim=1)
     margin = config.zoom * float(torch.rand((), generator=random))
     camera = frame(reach(body.rest_joints, config.pinned), (size, size), margin=margin)
     with torch.no_grad():

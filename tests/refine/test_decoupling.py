@@ -125,7 +125,7 @@ def test_every_blur_counts_alike(body, mae):
 
 def test_what_the_other_action_owns_does_not_count(body, mae):
     """i swings its left arm, j its right: where the composition's right arm is, is nothing to i."""
-    decoupler = Decoupler(body, mae, replace(PLAIN, ownership="share"))
+    decoupler = Decoupler(body, mae, replace(PLAIN, ownership="standing"))
     subs = clips(1, ["left_shoulder"]), clips(2, ["right_shoulder"])
     one, other = (decoupler(clips(0, moving), *subs, FRAMES).sides for moving in ([], ["right_elbow"]))
     assert torch.allclose(one[0].loss, other[0].loss, rtol=1e-4)
@@ -136,7 +136,7 @@ def test_the_inpainter_sees_no_part_that_the_other_action_owns(body, mae):
     images = []
     hook = mae.register_forward_pre_hook(lambda _, inputs: images.append(inputs[0]))
     subs = clips(1, ["left_shoulder"]), clips(2, ["right_shoulder"])
-    Decoupler(body, mae, replace(PLAIN, ownership="share"))(clips(0), *subs, FRAMES)
+    Decoupler(body, mae, replace(PLAIN, ownership="standing"))(clips(0), *subs, FRAMES)
     hook.remove()
     arms = [DRAWN_PART_NAMES.index(name) for name in ("left_arm", "right_arm")]
     assert [(shown[:, arms].amax((0, 2, 3)) > 0).tolist() for shown in images] == [[True, False], [False, True]]
@@ -191,6 +191,6 @@ def test_refusals(body, mae):
     with pytest.raises(UserError, match="draws 1 or 6 channels, the MAE wants 3"):
         Decoupler(body, MAE(replace(mae.config, channels=3)))
     with pytest.raises(UserError, match="no parts to own"):
-        Decoupler(body, MAE(replace(mae.config, channels=1)), replace(PLAIN, ownership="share"))
+        Decoupler(body, MAE(replace(mae.config, channels=1)), replace(PLAIN, ownership="standing"))
     with pytest.raises(ShapeError, match="frames"):
         Decoupler(body, mae, PLAIN)(clips(0), clips(1), clips(2), FRAMES[:1])
