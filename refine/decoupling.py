@@ -23,6 +23,8 @@ from renderers.mesh import Mesh
 from renderers.silhouette import blur
 from renderers.skeleton import DRAWN_PART_NAMES, forward_kinematics
 
+CHUNK = 128  # bodies or pictures that are worked on at once: long clips must not need memory by their length
+
 
 @dataclass(frozen=True)
 class DecouplingConfig:
@@ -136,7 +138,9 @@ class Decoupler(nn.Module):
             frames=(frames, "B K"),
         )
         rotations, root = (take_frames(value, frames) for value in pin(clips, self.config.pinned))
-        return draw(self.body, self.mesh, rotations.flatten(0, 1), root.flatten(0, 1), cameras, self.config.pinned)
+        bodies = zip(rotations.flatten(0, 1).split(CHUNK), root.flatten(0, 1).split(CHUNK), strict=True)
+        seen = [draw(self.body, self.mesh, *some, cameras, self.config.pinned) for some in bodies]
+        return Seen(*(torch.cat(values) for values in zip(*seen, strict=True)))
 
     @torch.no_grad()
     def references(self, i: Clips, j: Clips, frames: Tensor, cameras: list[Camera]) -> tuple[Reference, Reference]:
@@ -170,7 +174,8 @@ class Decoupler(nn.Module):
         # What another action owns says nothing about this one, and the MAE knows pictures of single actions only.
         shown = composed.pictures * reference.owned.shown[..., None, None]
         visible = patchify(composed.pictures, patch)
-        inpainted = unpatchify(paste(visible, self.mae(shown, kept), kept), patch, self.size)
+        predicted = torch.cat([self.mae(*some) for some in zip(shown.split(CHUNK), kept.split(CHUNK), strict=True)])
+        inpainted = unpatchify(paste(visible, predicted, kept), patch, self.size)
         difference = inpainted - reference.seen.pictures
         blurred = [blur(difference, sigma) if sigma else difference for sigma in self.config.blurs]
         errors = torch.stack([scale.square().mean((2, 3)) for scale in blurred]).mean(0)
