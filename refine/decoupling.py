@@ -139,7 +139,8 @@ class Decoupler(nn.Module):
         )
         rotations, root = (take_frames(value, frames) for value in pin(clips, self.config.pinned))
         bodies = zip(rotations.flatten(0, 1).split(CHUNK), root.flatten(0, 1).split(CHUNK), strict=True)
-        seen = [draw(self.body, self.mesh, *some, cameras, self.config.pinned) for some in bodies]
+        mesh = self.mesh.to(root.device)
+        seen = [draw(self.body, mesh, *some, cameras, self.config.pinned) for some in bodies]
         return Seen(*(torch.cat(values) for values in zip(*seen, strict=True)))
 
     @torch.no_grad()

@@ -63,8 +63,8 @@ def reach(rest_joints: Tensor, mode: Pinning) -> Tensor:
     """
     height = float(rest_joints[:, 1].max() - rest_joints[:, 1].min())
     angle = torch.arange(16) * (2 * math.pi / 16)
-    rim = torch.stack([angle.sin(), torch.zeros(16), angle.cos()], dim=1) * (0.73 * height)
-    ends = (-0.03, 1.43) if mode in ("sequence", "frame") else (-0.73, 0.73)
+    rim = torch.stack([angle.sin(), torch.zeros(16), angle.cos()], dim=1) * (0.77 * height)
+    ends = (-0.05, 1.49) if mode in ("sequence", "frame") else (-0.77, 0.77)
     return torch.cat([rim + torch.tensor([0.0, end * height, 0.0]) for end in ends]).to(rest_joints)
 
 

@@ -28,6 +28,8 @@ class DataConfig:
     fps: float = 30.0
     frames: int = 60
     """Length of a window."""
+    uniform_lambda: bool = False
+    """Draw lambda from U(0, 1) instead of N(0.5, 0.1) (the paper's ablation "w/o Gaussian")."""
     legacy_windows: bool = False
     """Sample as ACTOR does: the last possible start is never drawn, and padding counts as real frames."""
     held_out: float = 0.2
@@ -159,7 +161,7 @@ def draw_pairs(
     sides = [draw_windows(clips, [pair[side] for pair in chosen], config, random) for side in (0, 1)]
     index = [torch.tensor([classes.index(pair[side]) for pair in chosen]) for side in (0, 1)]
     (features_i, height_i, valid_i), (features_j, height_j, valid_j) = sides
-    lam = sample_lam(count, random)
+    lam = sample_lam(count, random, config.uniform_lambda)
     return Pairs(features_i, features_j, height_i, height_j, *index, lam, valid_i & valid_j)
 
 

@@ -99,6 +99,10 @@ def test_pairs_carry_their_labels_and_lambda():
         torch.testing.assert_close(batch.height_i[of_name], height.expand(int(of_name.sum())))
     assert abs(batch.lam.mean().item() - 0.5) < 0.05
     assert batch.lam.std().item() == pytest.approx(0.1, abs=0.03)
+    wide = draw_pairs(
+        clips, [("walk", "wave")], 40, replace(config, uniform_lambda=True), torch.Generator().manual_seed(1)
+    )
+    assert wide.lam.std().item() == pytest.approx(12**-0.5, abs=0.06)
 
 
 def test_a_pair_is_valid_where_both_are():
