@@ -155,7 +155,7 @@ class Problem(NamedTuple):
         return {
             "decoupling": self.compare(rotations, frames, slice(view, view + 1)).loss,
             "stay": config.stay * (offsets.square().mean() + shares.square().mean()),
-            "smooth": config.smooth * self.smoothed(offsets).diff(n=2, dim=0).square().mean(),
+            "smooth": config.smooth * self.smoothed(offsets).diff(n=2, dim=0).square().sum() / offsets.numel(),
             "feet": config.feet * (moved[:, FEET].square().sum(-1) * self.planted).mean(),
         }
 

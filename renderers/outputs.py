@@ -75,5 +75,7 @@ def replacing_folder(path: str | Path) -> Iterator[Path]:
     except OSError as error:
         raise UserError(path, f"cannot be written ({error.strerror or error})", "choose another place") from error
     finally:
+        if older.exists() and not path.exists():
+            os.replace(older, path)
         shutil.rmtree(partial, ignore_errors=True)
         shutil.rmtree(older, ignore_errors=True)

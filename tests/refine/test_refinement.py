@@ -127,3 +127,18 @@ def test_smoothing_keeps_constants_and_damps_shaking():
     assert torch.allclose(rows.sum(1), torch.ones(30, dtype=torch.float64))
     shaking = torch.tensor([1.0, -1.0], dtype=torch.float64).repeat(15)
     assert (rows @ shaking)[5:-5].abs().max() < 0.01
+
+
+def test_a_part_that_nobody_answers_for_stays_exactly(pair, decoupler):
+    i, j, composed, _ = pair
+    judge = Decoupler(decoupler.body, decoupler.mae, DecouplingConfig(views=(0.0,)))
+    motion = refine_motion(composed, i, j, judge, QUICK).motion
+    moved = (motion.rotations - composed.rotations).abs().amax((0, 2, 3))
+    assert (moved[list(PARTS["left_arm"])] > 1e-3).any()
+    assert moved[[*PARTS["right_arm"], *PARTS["torso"], *PARTS["left_leg"]]].max() < 1e-5
+
+
+def test_two_frames_are_enough(pair, decoupler):
+    i, j, composed, _ = (crop(clip, 5, 7) for clip in pair)
+    refined = refine_motion(composed, i, j, decoupler, replace(QUICK, steps=3))
+    assert torch.isfinite(refined.motion.rotations).all() and refined.after.loss <= refined.before.loss

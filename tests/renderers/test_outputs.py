@@ -1,3 +1,5 @@
+import os
+
 import pytest
 
 from renderers.checks import UserError
@@ -79,3 +81,21 @@ def test_what_could_not_be_written_is_refused_beforehand(tmp_path, monkeypatch):
     monkeypatch.setattr("os.access", lambda *_: False)  # root may write anywhere, so ask for the answer of others
     with pytest.raises(UserError, match="no permission to write"):
         refuse_existing(tmp_path / "new" / "a.txt")
+
+
+def test_an_older_folder_survives_when_the_new_one_cannot_take_its_name(tmp_path, monkeypatch):
+    folder = tmp_path / "report"
+    folder.mkdir()
+    (folder / "old.txt").write_text("old")
+    rename = os.replace
+
+    def refuse_the_new(source, target):
+        if str(source).endswith(".part"):
+            raise OSError(28, "No space left on device")
+        rename(source, target)
+
+    monkeypatch.setattr(os, "replace", refuse_the_new)
+    with pytest.raises(UserError, match="No space left"), replacing_folder(folder) as partial:
+        (partial / "new.txt").write_text("new")
+    assert [path.name for path in tmp_path.iterdir()] == ["report"]
+    assert (folder / "old.txt").read_text() == "old"
