@@ -44,7 +44,7 @@ class Compose:
         from refine.composition import Composition, compose
         from refine.coupling import couple
         from refine.formats.files import check_suffix, save_motion
-        from refine.report import losses, write_report
+        from refine.report import answers_for, losses, write_report
         from renderers.outputs import refuse_existing, replacing_folder
 
         check_suffix(self.out)
@@ -72,5 +72,8 @@ class Compose:
         traces = composition.traces().items()
         if traces:
             print("decoupling loss ", ", ".join(f"{losses(trace)['total']:.6f} {name}" for name, trace in traces))
+            references = next(iter(composition.traces().values())).references
+            for name, reference in zip(("A", "B"), references, strict=True):
+                print(f"{name}{answers_for(reference.owned.answers[0]).removeprefix(',')}")
         if self.report:
             print(self.report / "report.html")
