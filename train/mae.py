@@ -31,14 +31,15 @@ def train_mae(config: MAETraining) -> Path:
     rest_joints = body.rest_joints.cpu()
     motions = load_clips_for(config.data, rest_joints)
     train, test = split(motions, config.data.held_out, config.data.seed)
+    mae, start = first_weights(config)
+    mae = mae.to(config.device)
     open_run(config.out, config, config.resume)
     record = {
         "provenance": provenance(config.loop.seed, hash_motions(motions)),
         "data": {"source": config.data.source, "clips": len(train), "held_out_clips": len(test)},
         "pictures": config.pictures,
+        "start": start,
     }
-    mae, record["start"] = first_weights(config)
-    mae = mae.to(config.device)
     draw = drawing(body, config)
     poses, unseen = (
         Poses(*(value.to(config.device) for value in poses_of(clips, rest_joints, config.pictures.pinned)))

@@ -74,3 +74,9 @@ def test_a_runs_swinging_arms_are_not_its_own_but_a_punchers_are(rest_joints):
     arms = [CHANNEL["left_arm"], CHANNEL["right_arm"]]
     assert by_standing(turning("run"), wave, 0.5, 0.3)[1].answers[0, arms].min() > 0.8
     assert by_standing(turning("punching-and-knee-lifting"), wave, 0.5, 0.3)[1].answers[0, arms].max() == 0
+
+
+def test_a_part_needs_standing_to_be_owned():
+    for standing, sure in ((0.15, 0.0), (0.225, 0.5), (0.3, 1.0)):
+        (i, _), _ = divide({"left_leg": 1.0, "right_leg": standing}, {"left_arm": 1.0})
+        assert i["right_leg"] == pytest.approx(sure, abs=1e-6)

@@ -9,7 +9,8 @@ from refine.decoupling import Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.metrics import joint_errors
 from refine.motion import Motion, crop
-from refine.refinement import RefinementConfig, gaussian_rows, refine_motion, spread_frames
+from refine.refinement import Problem, RefinementConfig, gaussian_rows, refine_motion, spread_frames
+from refine.seeing import Clips
 from renderers.body import Body
 from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix, slerp
@@ -142,3 +143,23 @@ def test_two_frames_are_enough(pair, decoupler):
     i, j, composed, _ = (crop(clip, 5, 7) for clip in pair)
     refined = refine_motion(composed, i, j, decoupler, replace(QUICK, steps=3))
     assert torch.isfinite(refined.motion.rotations).all() and refined.after.loss <= refined.before.loss
+
+
+def test_heading_stays_though_the_sub_actions_face_apart(pair, decoupler):
+    i, j, composed, _ = pair
+    turned = j.rotations.clone()
+    turned[:, 0] = axis_angle_to_matrix(torch.tensor([0.0, 0.8, 0.0]))
+    judge = Decoupler(decoupler.body, decoupler.mae, DecouplingConfig(views=(0.0,), ownership="none"))
+    motion = refine_motion(composed, i, replace(j, rotations=turned), judge, QUICK).motion
+    assert torch.equal(motion.rotations[:, 0], composed.rotations[:, 0])
+    assert (motion.rotations[:, 1:] - composed.rotations[:, 1:]).abs().max() > 1e-3
+
+
+def test_a_view_is_compared_with_the_references_of_its_own_frames(pair, decoupler):
+    i, j, composed, _ = pair
+    judge = Decoupler(decoupler.body, decoupler.mae, DecouplingConfig(views=(0.0, 90.0)))
+    problem = Problem.build(composed, i, j, judge, QUICK)
+    frames = torch.tensor([[3, 7]])
+    seen = problem.compare(composed.rotations, frames, slice(1, 2)).references[0].seen
+    clips = Clips(i.rotations[None], i.root[None])
+    assert torch.allclose(seen.pictures, judge.see(clips, frames, problem.cameras[1:]).pictures, atol=1e-4)

@@ -145,3 +145,24 @@ def test_every_patch_counts_alike_in_whichever_batch_it_is():
     assert figures["body"] == pytest.approx((64 * 1 + 2 * 0.25) / 66)
     assert figures["hidden"] == pytest.approx((64 * 1 + 2 * 0.25) / 130)
     assert (figures["body"], figures["hidden"]) == (figures["mean_body"], figures["mean_hidden"])
+
+
+def test_a_run_can_start_from_weights_and_says_so(trained, tmp_path):
+    _, weights = trained
+    before, slow = load_mae(weights), replace(config(tmp_path).loop, steps=1, learning_rate=1e-9)
+    tuned = train_mae(config(tmp_path / "tuned", start=weights, loop=slow))
+    after = load_mae(tuned).state_dict()
+    assert all(torch.allclose(value, after[name], atol=1e-6) for name, value in before.state_dict().items())
+    assert json.loads(tuned.with_suffix(".json").read_text())["start"]["step"] == 30
+
+
+def test_weights_that_cannot_be_started_from_leave_nothing_behind(trained, tmp_path):
+    _, weights = trained
+    other = replace(config(tmp_path).network, depth=2)
+    for changes, message in (
+        ({"start": tmp_path / "no.safetensors"}, "no such file"),
+        ({"start": weights}, "same network"),
+    ):
+        with pytest.raises(UserError, match=message):
+            train_mae(config(tmp_path / "run", network=other, **changes))
+    assert not (tmp_path / "run").exists()

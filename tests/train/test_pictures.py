@@ -38,7 +38,7 @@ def draw(body, poses, count, config, seed=0):
     return draw_pictures(poses, count, body, mesh, 64, 8, config, torch.Generator().manual_seed(seed))
 
 
-@pytest.mark.parametrize("pinned", ["frame", "body"])
+@pytest.mark.parametrize("pinned", ["frame", "body", "trunk"])
 def test_without_jitter_pictures_are_those_of_the_decoupling_loss(body, waving, pinned):
     poses = poses_of([waving], body.rest_joints, pinned)
     last = Poses(*(value[-1:] for value in poses))
@@ -62,6 +62,16 @@ def test_jitter_turns_moves_and_zooms(body, waving):
     assert not torch.allclose(pictures["yaw"][0], pictures["yaw"][1], atol=0.1)
     assert not torch.allclose(pictures["shift"][0], pictures["shift"][1], atol=0.1)
     assert pictures["zoom"].sum() < 0.99 * pictures["none"].sum()
+
+
+def test_pose_noise_turns_joints_but_not_the_body(body, waving):
+    poses = poses_of([waving], body.rest_joints, "body")
+    still, noisy = (
+        draw(body, poses, 6, replace(STILL, pinned="body", pose_noise=noise)).images for noise in (0.0, 0.2)
+    )
+    assert (still - noisy).abs().max() > 0.5
+    torso = [images[:, 0].mean((1, 2)) for images in (still, noisy)]
+    assert torch.allclose(torso[0], torso[1], rtol=0.15)
 
 
 def test_a_third_of_the_patches_is_kept(body, waving):
