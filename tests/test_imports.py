@@ -12,7 +12,7 @@ ROOT = Path(__file__).resolve().parents[1]
 HEAVY = ("mitsuba", "drjit", "timm", "smplx", "cv2", "av", "kornia")
 LAYERS = ("renderers", "refine", "train", "refine.cli")
 OWNERS = {
-    "mitsuba": {"renderers.raster_mitsuba"},
+    "mitsuba": {"renderers.mitsuba_scene"},
     "timm": {"refine.mae"},
 }
 
