@@ -18,7 +18,7 @@ from torch import Tensor
 
 from renderers.checks import UserError, check_shapes
 
-NEAR = 0.01  # metres
+NEAR = 0.01  # metres before a pinhole camera; what is nearer is not seen
 FIELD_OF_VIEW = radians(30)  # of a framed pinhole camera, over the longer side of what it frames
 
 Kind = Literal["pinhole", "weak"]
@@ -64,17 +64,23 @@ class Camera:
         Raises:
             UserError: for a point that is not in front of a pinhole camera.
         """
+        seen = self.view(points)
+        if self.kind == "pinhole":
+            _check_in_front(seen)
+        return self.pixels(seen)
+
+    def view(self, points: Tensor) -> Tensor:
+        """World points [N P 3] -> camera axes [N P 3]: x right, y down, z forward, metres."""
+        check_shapes("Camera.view", points=(points, "N P 3"))
+        if len(self) not in (1, len(points)):
+            raise UserError("Camera.view", f"{len(self)} cameras do not fit {len(points)} sets of points")
+        return points @ self.rotation.mT + self.translation[:, None]
+
+    def pixels(self, seen: Tensor) -> Tensor:
+        """Points in camera axes [N P 3], in front of a pinhole camera -> pixels [N P 2]."""
         from kornia.geometry.camera import project_points_orthographic, project_points_z1
 
-        check_shapes("Camera.project", points=(points, "N P 3"))
-        if len(self) not in (1, len(points)):
-            raise UserError("Camera.project", f"{len(self)} cameras do not fit {len(points)} sets of points")
-        points = points @ self.rotation.mT + self.translation[:, None]
-        if self.kind == "weak":
-            plane = project_points_orthographic(points)
-        else:
-            _check_in_front(points)
-            plane = project_points_z1(points)
+        plane = project_points_orthographic(seen) if self.kind == "weak" else project_points_z1(seen)
         return plane * self.focal[:, None] + self.centre[:, None]
 
 

@@ -28,36 +28,40 @@ class Mesh:
     vertices: int  # the least number of vertices that the faces need
 
     @classmethod
-    def build(cls, faces: Tensor, parts: Tensor | None = None) -> "Mesh":
+    def build(cls, faces: Tensor, parts: Tensor | None = None, channels: int = 1) -> "Mesh":
         """The mesh of ``faces`` [F 3]; with ``parts`` [F] (0, 1, ...) every part becomes a channel of its own.
 
+        There are at least ``channels`` of them, also where faces are missing.
+
         Raises:
-            UserError: for no faces, or negative vertex or part numbers.
+            UserError: for negative vertex or part numbers.
         """
         parts = faces.new_zeros(len(faces)) if parts is None else parts
         check_shapes("Mesh.build", faces=(faces, "F 3"), parts=(parts, "F"))
-        if len(faces) == 0 or faces.min() < 0 or parts.min() < 0:
-            raise UserError("Mesh.build", "expected at least one face and no negative numbers", "check the mesh")
+        if (faces < 0).any() or (parts < 0).any():
+            raise UserError("Mesh.build", "expected no negative vertex or part numbers", "check the mesh")
         faces, parts = faces.long(), parts.long()
-        vertices = int(faces.max()) + 1
+        vertices = int(faces.max()) + 1 if len(faces) else 0
 
         start, end = faces.flatten(), faces.roll(-1, dims=1).flatten()
         low, high = torch.minimum(start, end), torch.maximum(start, end)
-        keys = (parts.repeat_interleave(3) * vertices + low) * vertices + high
+        stride = max(vertices, 1)
+        keys = (parts.repeat_interleave(3) * stride + low) * stride + high
         keys, edge, passages = torch.unique(keys, return_inverse=True, return_counts=True)
 
         by_edge = edge.argsort(stable=True)
         rank = torch.arange(len(edge), device=faces.device) - (passages.cumsum(0) - passages)[edge[by_edge]]
         passing = torch.arange(len(edge), device=faces.device) // 3 + len(faces) * (start > end)
-        edge_faces = faces.new_full((len(keys), int(passages.max())), 2 * len(faces))
+        fan = int(passages.max()) if len(faces) else 1
+        edge_faces = faces.new_full((len(keys), fan), 2 * len(faces))
         edge_faces[edge[by_edge], rank] = passing[by_edge]
         return cls(
             faces=faces,
             face_channels=parts,
-            edges=torch.stack([keys // vertices % vertices, keys % vertices], dim=1),
-            edge_channels=keys // vertices**2,
+            edges=torch.stack([keys // stride % stride, keys % stride], dim=1),
+            edge_channels=keys // stride**2,
             edge_faces=edge_faces,
-            channels=int(parts.max()) + 1,
+            channels=max(channels, int(parts.max()) + 1 if len(faces) else 0),
             vertices=vertices,
         )
 

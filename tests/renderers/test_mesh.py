@@ -52,12 +52,17 @@ def test_unused_vertices_and_parts_are_allowed():
     assert mesh.edges.min() == 5
 
 
+def test_a_mesh_may_have_no_faces_and_more_channels_than_parts():
+    mesh = Mesh.build(SQUARE[:0], channels=3)
+    assert (len(mesh.faces), len(mesh.edges), mesh.vertices, mesh.channels) == (0, 0, 0, 3)
+    assert Mesh.build(SQUARE, torch.tensor([0, 4]), channels=3).channels == 5
+
+
 @pytest.mark.parametrize(
     ("faces", "parts", "error", "words"),
     [
-        (torch.zeros(0, 3, dtype=torch.long), None, UserError, "at least one face"),
-        (-SQUARE, None, UserError, "no negative numbers"),
-        (SQUARE, torch.tensor([0, -1]), UserError, "no negative numbers"),
+        (-SQUARE, None, UserError, "no negative vertex or part numbers"),
+        (SQUARE, torch.tensor([0, -1]), UserError, "no negative vertex or part numbers"),
         (SQUARE, torch.tensor([0, 1, 2]), ShapeError, r"expected shape \[F\] with F=2, got \[3\]"),
         (SQUARE[0], None, ShapeError, r"expected shape \[F 3\]"),
     ],

@@ -140,7 +140,6 @@ def test_a_blurred_pair_pulls_where_a_sharp_one_does_not():
         (lambda v: v[:, :-1], UserError, "the faces name 42 vertices, got 41"),
         (lambda v: v / 0, UserError, "at frame 0, vertex 0, coordinate 0"),
         (lambda v: v[:1].repeat(3, 1, 1), UserError, "2 cameras do not fit 3"),
-        (lambda v: v + torch.tensor([0.0, 0.0, 50.0]), UserError, "which is not in front"),
     ],
 )
 def test_errors_name_what_does_not_fit(change, error, words):
