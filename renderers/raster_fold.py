@@ -19,9 +19,6 @@ from torch.autograd.function import once_differentiable
 
 from renderers.mesh import Mesh
 
-# Areas are summed as whole multiples of 1 / UNIT: no sum depends on its order, and background is exactly 0.
-UNIT = 2**40
-
 
 class Folds(NamedTuple):
     """The K edges, of all frames, along which the passages of the faces do not cancel."""
@@ -37,7 +34,7 @@ class Outline(NamedTuple):
 
     pixel: Tensor  # [M] in the flattened [N C H W] images
     part: Tensor  # [M] 0..1, the part of that pixel before the place
-    step: Tensor  # [M] 1 enters, -1 leaves
+    step: Tensor  # [M] int32, 1 enters, -1 leaves
     seen: Tensor  # [M] 1, but 0 for what has been entered left of the image
     ends: Tensor  # [2 M] as in Folds
     weight: Tensor  # [M] 0..1, how far from the first end to the second
@@ -69,14 +66,17 @@ class _Coverage(torch.autograd.Function):
         rows = find_outline(folds, images, height, width, subscanlines)
         folds = folds._replace(points=folds.points.flip(-1))
         columns = find_outline(folds, images, width, height, subscanlines)
-        row_area = fill(rows, images * height, width, subscanlines)
-        column_area = fill(columns, images * width, height, subscanlines)
+        unit, whole = fixed_point(points.dtype, subscanlines)
+        row_area = fill(rows, images * height, width, unit, whole)
+        column_area = fill(columns, images * width, height, unit, whole)
 
         row_pixel, column_pixel = rows.pixel, exchange(columns.pixel, width, height)
         touched = torch.cat([row_pixel, column_pixel])
         column_area = pick(column_area, torch.cat([exchange(rows.pixel, height, width), columns.pixel]))
-        row_count = pick(torch.zeros_like(row_area).index_add_(0, row_pixel, rows.seen), touched)
-        column_count = pick(torch.zeros_like(row_area).index_add_(0, column_pixel, columns.seen), touched)
+        row_area, column_area = (area.to(points.dtype).div_(unit * subscanlines) for area in (row_area, column_area))
+        counts = torch.zeros_like(row_area).index_add_(0, row_pixel, rows.seen)
+        row_count = pick(counts, touched)
+        column_count = pick(counts.index_add_(0, column_pixel, columns.seen), touched) - row_count
         row_area[touched] = blend(pick(row_area, touched), column_area, row_count, column_count)
 
         ctx.points_shape = points.shape
@@ -105,8 +105,8 @@ def find_folds(points: Tensor, mesh: Mesh) -> Folds:
     # Frames last: gathering a vertex or a face then copies one row for all frames.
     by_vertex = points.permute(1, 2, 0).contiguous()
     a, b, c = pick(by_vertex, mesh.faces.T.flatten()).view(3, -1, 2, frames)
-    b, c = b - a, c - a
-    sign = torch.sign(b[:, 0] * c[:, 1] - b[:, 1] * c[:, 0])
+    b, c = b.sub_(a), c.sub_(a)  # in place: fresh memory costs more than the arithmetic
+    sign = (b[:, 0] * c[:, 1]).sub_(b[:, 1] * c[:, 0]).sign_()
     sign = sign.to(torch.int8 if mesh.edge_faces.shape[1] < 128 else torch.int32)
     passages = torch.cat([sign, -sign, torch.zeros_like(sign[:1])])
     first, *others = (pick(passages, faces) for faces in mesh.edge_faces.T)
@@ -142,7 +142,7 @@ def find_outline(folds: Folds, images: int, height: int, width: int, subscanline
     order = _order(line, place, images * lines, width)
     winding = pick(folds.winding * (last - first).sign(), pick(edge, order))
     covered = winding.cumsum(0) != 0
-    step = torch.diff(covered.long(), prepend=covered.new_zeros(1, dtype=torch.long))
+    step = torch.diff(covered.int(), prepend=covered.new_zeros(1, dtype=torch.int32))
     kept = ((step != 0) & (pick(place, order) < width)).nonzero()[:, 0]
     step, kept = pick(step, kept), pick(order, kept)
     edge, line, place, weight = (pick(values, kept) for values in (edge, line, place, weight))
@@ -173,15 +173,27 @@ def pick(values: Tensor, at: Tensor) -> Tensor:
     return values.index_select(0, at)
 
 
-def fill(outline: Outline, rows: int, width: int, subscanlines: int) -> Tensor:
-    """The area of each pixel, 0..1, flattened [rows width]: lines count from where they enter to where they leave."""
-    past = (outline.part.double() * UNIT).long() * outline.step
+def fixed_point(dtype: torch.dtype, subscanlines: int) -> tuple[int, torch.dtype]:
+    """Areas are summed as whole multiples of 1 / unit: no sum depends on its order, and background is exactly 0.
+
+    Returns:
+        the unit, and whole numbers that hold ``subscanlines`` of it, at a precision beyond ``dtype``'s own.
+    """
+    spare = subscanlines.bit_length()
+    if dtype == torch.float32 and spare < 6:
+        return 2 ** (30 - spare), torch.int32
+    return 2 ** (62 - max(spare, 10)), torch.int64
+
+
+def fill(outline: Outline, rows: int, width: int, unit: int, whole: torch.dtype) -> Tensor:
+    """The area of each pixel, in units, flattened: lines count from where they enter to where they leave."""
+    step = outline.step.to(whole)
+    past = (outline.part.double() * unit).to(whole) * step
     goes_on = (outline.pixel + 1) % width != 0
     area = past.new_zeros(rows * width + 1)
-    area.index_add_(0, outline.pixel, UNIT * outline.step - past)
+    area.index_add_(0, outline.pixel, unit * step - past)
     area.index_add_(0, outline.pixel + 1, past * goes_on)
-    area = area[:-1].view(rows, width).cumsum_(-1).view(-1)
-    return area.to(outline.part.dtype).div_(UNIT * subscanlines)
+    return area[:-1].view(rows, width).cumsum_(-1).view(-1)
 
 
 def exchange(pixel: Tensor, height: int, width: int) -> Tensor:

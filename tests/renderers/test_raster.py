@@ -57,7 +57,8 @@ def row_scans(points: Tensor, mesh: Mesh, size: tuple[int, int], subscanlines: i
     height, width = size
     images = len(points) * mesh.channels
     outline = raster_fold.find_outline(raster_fold.find_folds(points, mesh), images, height, width, subscanlines)
-    folds = raster_fold.fill(outline, images * height, width, subscanlines)
+    unit, whole = raster_fold.fixed_point(points.dtype, subscanlines)
+    folds = raster_fold.fill(outline, images * height, width, unit, whole).to(points.dtype) / (unit * subscanlines)
     spans = [
         raster_reference.scan(frame[mesh.faces[mesh.face_channels == channel]], height, width, subscanlines)
         for frame in points
@@ -261,6 +262,16 @@ def test_a_fan_of_any_number_of_faces_at_one_edge():
     points = torch.rand(1, 302, 2, dtype=torch.float64, generator=torch.Generator().manual_seed(0)) * 8
     mesh = Mesh.build(torch.tensor([[0, 1, page] for page in range(2, 302)]))
     assert_images_close("fan", *row_scans(points, mesh, (8, 8), 2), largest=1e-9)
+
+
+@pytest.mark.parametrize("dtype", [torch.float32, torch.float64])
+@pytest.mark.parametrize("subscanlines", [1, 4, 31, 32, 300])
+def test_whole_numbers_hold_a_full_pixel(dtype, subscanlines):
+    square = torch.tensor([[[0.3, 0.0], [3.0, 0.0], [3.0, 3.0], [0.3, 3.0]]], dtype=dtype)
+    image = raster_fold.coverage(square, Mesh.build(torch.tensor([[0, 1, 2], [0, 2, 3]])), (3, 3), subscanlines)
+    expected = torch.tensor([0.7, 1.0, 1.0], dtype=dtype).expand(1, 1, 3, 3)
+    assert_images_close("full pixels", image, expected, largest=4 * torch.finfo(dtype).eps)
+    assert torch.equal(image[..., 1:], expected[..., 1:])
 
 
 def test_there_is_no_second_derivative():
