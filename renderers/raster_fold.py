@@ -15,8 +15,8 @@ from typing import NamedTuple
 
 import torch
 from torch import Tensor
-from torch.autograd.function import once_differentiable
 
+from renderers.checks import UserError
 from renderers.mesh import Mesh
 
 
@@ -79,8 +79,8 @@ class _Coverage(torch.autograd.Function):
         column_count = pick(counts.index_add_(0, column_pixel, columns.seen), touched) - row_count
         row_area[touched] = blend(pick(row_area, touched), column_area, row_count, column_count)
 
-        ctx.points_shape = points.shape
         ctx.save_for_backward(
+            points,
             touched,
             torch.cat([rows.ends, columns.ends], dim=1),
             torch.cat([rows.weight, columns.weight]),
@@ -89,14 +89,26 @@ class _Coverage(torch.autograd.Function):
         return row_area.view(len(points), mesh.channels, height, width)
 
     @staticmethod
-    @once_differentiable
     def backward(ctx, gradient: Tensor):
-        pixel, ends, weight, sweep = ctx.saved_tensors
-        pull = sweep * pick(gradient.flatten(), pixel)[:, None]
-        second = pull * weight[:, None]
-        pulls = gradient.new_zeros(ctx.points_shape, dtype=torch.float64).view(-1, 2)
-        pulls.index_put_((ends.flatten(),), torch.cat([pull - second, second]).double(), accumulate=True)
-        return pulls.to(gradient.dtype).view(ctx.points_shape), None, None, None
+        points, pixel, ends, weight, sweep = ctx.saved_tensors
+        with torch.no_grad():
+            pull = sweep * pick(gradient.flatten(), pixel)[:, None]
+            second = pull * weight[:, None]
+            pulls = torch.zeros_like(points, dtype=torch.float64).view(-1, 2)
+            pulls.index_put_((ends.flatten(),), torch.cat([pull - second, second]).double(), accumulate=True)
+        return _Once.apply(pulls.to(points.dtype).view(points.shape), points, gradient), None, None, None
+
+
+class _Once(torch.autograd.Function):
+    """The gradient, which depends on points and cotangent in a way that nobody can ask for."""
+
+    @staticmethod
+    def forward(ctx, pulls: Tensor, points: Tensor, gradient: Tensor) -> Tensor:
+        return pulls
+
+    @staticmethod
+    def backward(ctx, gradient: Tensor):
+        raise UserError("silhouette", "there is no second derivative", "detach the gradient, or difference it")
 
 
 def find_folds(points: Tensor, mesh: Mesh) -> Folds:
