@@ -15,11 +15,10 @@ from refine.attention import attention_map
 from refine.energies import energy_signal, joint_energies, part_energies
 from refine.ownership import Owned, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
-from refine.seeing import Clips, Pinning, Seen, draw, pin, reach
+from refine.seeing import Clips, Pinning, Seen, draw, mesh_to_draw, pin, reach
 from renderers.body import Body
 from renderers.camera import Camera, frame
 from renderers.checks import UserError, check_shapes
-from renderers.mesh import Mesh
 from renderers.silhouette import blur
 from renderers.skeleton import DRAWN_PART_NAMES, forward_kinematics
 
@@ -105,7 +104,7 @@ class Decoupler(nn.Module):
         if channels == 1 and (config.ownership != "none" or config.pinned == "trunk"):
             problem = "a plain silhouette has no parts to own or to draw apart"
             raise UserError("Decoupler(config)", problem, 'use ownership="none" and another pinning')
-        self.mesh = Mesh.build(body.faces, body.face_parts if channels > 1 else None)
+        self.mesh = mesh_to_draw(body, config.pinned, channels)
         self.size = (mae.config.size, mae.config.size)
 
     def forward(self, composed: Clips, i: Clips, j: Clips, frames: Tensor) -> Trace:

@@ -68,25 +68,25 @@ def reach(rest_joints: Tensor, mode: Pinning) -> Tensor:
     return torch.cat([rim + torch.tensor([0.0, end * height, 0.0]) for end in ends]).to(rest_joints)
 
 
+def mesh_to_draw(body: Body, mode: Pinning, channels: int) -> Mesh:
+    """What `draw` draws: the body whole (1 channel) or by parts; for "trunk", one body's trunk and another's limbs."""
+    if mode != "trunk":
+        return Mesh.build(body.faces, body.face_parts if channels > 1 else None)
+    limb = ~torch.isin(body.face_parts, torch.tensor(TRUNK_CHANNELS).to(body.face_parts))
+    return Mesh.build(body.faces + limb[:, None] * len(body.rest_vertices), body.face_parts)
+
+
 def draw(body: Body, mesh: Mesh, rotations: Tensor, root: Tensor, cameras: list[Camera], mode: Pinning) -> Seen:
     """Draw pinned bodies in every view.
 
     Args:
+        mesh: `mesh_to_draw` for this body and mode.
         rotations: [N 24 3 3], root: [N 3] metres, both as ``pin`` leaves them.
-        mode: "trunk" draws the limbs on a straight trunk; it needs a mesh with a channel for each drawn part.
     """
     posed = body(rotations, root)
-    pictures = [silhouette(posed.vertices, mesh, camera) for camera in cameras]
+    vertices = posed.vertices
     if mode == "trunk":
-        posed = body(straighten(rotations), root)
-        limbs = [silhouette(posed.vertices, mesh, camera) for camera in cameras]
-        pictures = [take_trunk(bent, straight) for bent, straight in zip(pictures, limbs, strict=True)]
+        vertices = torch.cat([vertices, body(straighten(rotations), root).vertices], dim=1)
+    pictures = [silhouette(vertices, mesh, camera) for camera in cameras]
     joints_px = [camera.project(posed.joints) for camera in cameras]
     return Seen(torch.stack(pictures, 1).flatten(0, 1), torch.stack(joints_px, 1).flatten(0, 1))
-
-
-def take_trunk(bent: Tensor, straight: Tensor) -> Tensor:
-    """Pictures [N 6 H W] with torso and head of ``bent`` and the limbs of ``straight``."""
-    trunk = torch.zeros(len(DRAWN_PART_NAMES), 1, 1, dtype=torch.bool, device=bent.device)
-    trunk[TRUNK_CHANNELS] = True
-    return torch.where(trunk, bent, straight)

@@ -45,6 +45,9 @@ class MAETraining:
         if self.network.channels not in (1, len(DRAWN_PARTS)):
             problem = f"bodies are drawn in 1 or {len(DRAWN_PARTS)} channels, not {self.network.channels}"
             raise UserError("MAEConfig(channels)", problem)
+        if self.network.channels == 1 and self.pictures.pinned == "trunk":
+            problem = "a plain silhouette cannot show limbs on a straight trunk"
+            raise UserError("MAETraining", problem, 'use another PictureConfig(pinned), for example "body"')
 
 
 @dataclass(frozen=True)

@@ -8,10 +8,9 @@ from torch import Tensor
 
 from refine.mae import MAE, load_mae
 from refine.patches import patchify
+from refine.seeing import mesh_to_draw
 from renderers.body import Body
 from renderers.checks import UserError
-from renderers.mesh import Mesh
-from renderers.skeleton import DRAWN_PARTS
 from train.checkpoints import hash_motions, provenance
 from train.config import MAETraining
 from train.data import load_clips_for, split
@@ -84,8 +83,7 @@ def first_weights(config: MAETraining) -> tuple[MAE, dict | None]:
 
 def drawing(body: Body, config: MAETraining):
     """(poses, count, random) -> Pictures, as the configuration wants them."""
-    parts = body.face_parts if config.network.channels == len(DRAWN_PARTS) else None
-    mesh = Mesh.build(body.faces, parts)
+    mesh = mesh_to_draw(body, config.pictures.pinned, config.network.channels)
 
     def draw(poses: Poses, count: int, random: torch.Generator) -> Pictures:
         return draw_pictures(

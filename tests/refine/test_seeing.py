@@ -3,10 +3,9 @@
 import pytest
 import torch
 
-from refine.seeing import Clips, draw, pin, reach, straighten
+from refine.seeing import Clips, draw, mesh_to_draw, pin, reach, straighten
 from renderers.body import Body
 from renderers.camera import frame
-from renderers.mesh import Mesh
 from renderers.rotations import axis_angle_to_matrix, rotation_about
 from renderers.skeleton import DRAWN_PART_NAMES, JOINTS
 
@@ -31,7 +30,7 @@ def clip(spine_twist=0.0, elbow=0.4, frames=3):
 def pictures(body, clips, mode, yaw=0.0):
     rotations, root = (value[0] for value in pin(clips, mode))
     camera = frame(reach(body.rest_joints, mode), (64, 64), yaw=yaw, margin=0.0)
-    return draw(body, Mesh.build(body.faces, body.face_parts), rotations, root, [camera], mode)
+    return draw(body, mesh_to_draw(body, mode, len(DRAWN_PART_NAMES)), rotations, root, [camera], mode)
 
 
 @pytest.mark.parametrize("mode", ["sequence", "frame", "body", "trunk"])

@@ -8,10 +8,9 @@ import torch
 from refine.decoupling import Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
-from refine.seeing import Clips
+from refine.seeing import Clips, mesh_to_draw
 from renderers.body import Body
 from renderers.checks import UserError
-from renderers.mesh import Mesh
 from renderers.rotations import axis_angle_to_matrix
 from train.pictures import PictureConfig, Poses, draw_pictures, poses_of, show_parts
 
@@ -34,7 +33,7 @@ def waving() -> Motion:
 
 
 def draw(body, poses, count, config, seed=0):
-    mesh = Mesh.build(body.faces, body.face_parts)
+    mesh = mesh_to_draw(body, config.pinned, channels=6)
     return draw_pictures(poses, count, body, mesh, 64, 8, config, torch.Generator().manual_seed(seed))
 
 
