@@ -1,0 +1,166 @@
+"""Where the time of a decoupling step goes: wall time of its stages, forward and backward.
+
+Functions of the engine are wrapped for the measurement. A stage's backward is the time of the autograd nodes that it
+made. What belongs to no stage (checks, energies, the optimiser's own terms, autograd's sums) is the rest.
+"""
+
+import statistics
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, contextmanager
+from unittest.mock import patch
+
+import torch
+from torch import Tensor
+
+from refine import decoupling, synthetic
+from refine.coupling import couple
+from refine.decoupling import Decoupler
+from refine.mae import load_mae
+from refine.refinement import Problem, RefinementConfig, spread_frames
+from refine.seeing import Clips
+from renderers import camera, silhouette
+from renderers.body import Body
+from renderers.skeleton import PARTS
+
+FRAMES = 60
+PATCHES = ("attention_map", "patch_means", "keep_top", "patchify", "unpatchify", "paste")
+
+
+class Stages:
+    """Seconds of each stage of a step; stages inside others count for themselves alone."""
+
+    def __init__(self):
+        self.forward, self.backward = Counter(), Counter()
+        self._inside = [0.0]  # seconds spent in inner stages, for each stage that is open
+        self._stage_of = {}
+
+    def wrap(self, stage: str, function: Callable) -> Callable:
+        def timed(*args, **options):
+            self._inside.append(0.0)
+            start = time.perf_counter()
+            result = function(*args, **options)
+            seconds = time.perf_counter() - start
+            self.forward[stage] += seconds - self._inside.pop()
+            start = time.perf_counter()
+            self._claim(stage, result, args)
+            # The bookkeeping must not count for the stage around this one.
+            self._inside[-1] += seconds + time.perf_counter() - start
+            return result
+
+        return timed
+
+    def _claim(self, stage: str, results: object, args: tuple):
+        """Time the backward of all nodes between ``args`` and ``results`` that no inner stage has claimed."""
+        borders = {tensor.grad_fn for tensor in tensors(args)}
+        waiting = [tensor.grad_fn for tensor in tensors(results)]
+        while waiting:
+            node = waiting.pop()
+            if node is None or node in borders or node in self._stage_of:
+                continue
+            self._stage_of[node] = stage
+            node.register_prehook(lambda _, node=node: self._begin(node))
+            node.register_hook(lambda *_, node=node: self._end(node))
+            waiting += [before for before, _ in node.next_functions]
+
+    def _begin(self, node):
+        self._start = time.perf_counter()
+
+    def _end(self, node):
+        self.backward[self._stage_of[node]] += time.perf_counter() - self._start
+
+    def seconds(self, forward: float, backward: float) -> dict[str, tuple[float, float]]:
+        """Forward and backward of each stage and, from the whole step's, of the rest."""
+        found = {stage: (self.forward[stage], self.backward[stage]) for stage in self.forward}
+        rest = forward - self.forward.total(), backward - self.backward.total()
+        return found | {"rest": rest}
+
+
+def tensors(values: object) -> Iterator[Tensor]:
+    """All tensors with a gradient in nested tuples and objects."""
+    if isinstance(values, Tensor):
+        if values.requires_grad:
+            yield values
+    elif isinstance(values, (tuple, list)):
+        for value in values:
+            yield from tensors(value)
+    elif hasattr(values, "__dict__") and not isinstance(values, torch.nn.Module):
+        yield from tensors(list(vars(values).values()))
+
+
+@contextmanager
+def watched(judge: Decoupler) -> Iterator[Stages]:
+    """Time the stages of everything that ``judge`` does meanwhile."""
+    stages = Stages()
+    with ExitStack() as patches:
+        for owner, name, stage in (
+            (judge.body, "forward", "body"),
+            (camera.Camera, "view", "projection"),
+            (camera.Camera, "pixels", "projection"),
+            (judge.mae, "forward", "MAE"),
+            (decoupling, "blur", "blur"),
+            *((decoupling, name, "attention, patches") for name in PATCHES),
+        ):
+            patches.enter_context(patch.object(owner, name, stages.wrap(stage, getattr(owner, name))))
+        fold = stages.wrap("renderer", silhouette.BACKENDS["fold"])
+        patches.enter_context(patch.dict(silhouette.BACKENDS, fold=fold))
+        yield stages
+
+
+def shares(judge: Decoupler, loss: Callable[[], Tensor], repeats: int) -> dict[str, dict[str, float]]:
+    """Median milliseconds of a step, by stage: ``forward``, ``backward``, and ``share`` of their sum."""
+    found = []
+    for _ in range(repeats + 2):
+        with watched(judge) as stages:
+            start = time.perf_counter()
+            value = loss()
+            middle = time.perf_counter()
+            value.backward()
+            end = time.perf_counter()
+        bookkeeping = stages._inside[0] - stages.forward.total()
+        found.append(stages.seconds(middle - start - bookkeeping, end - middle))
+    rows = {
+        stage: {name: 1e3 * statistics.median(step[stage][at] for step in found[2:]) for at, name in enumerate(WAYS)}
+        for stage in found[0]
+    }
+    total = sum(row["forward"] + row["backward"] for row in rows.values())
+    return {stage: row | {"share": (row["forward"] + row["backward"]) / total} for stage, row in rows.items()}
+
+
+WAYS = ("forward", "backward")
+
+
+def decoupling_steps(repeats: int) -> dict[str, dict]:
+    """The two steps that use the loss, with either body: refining a clip, and training a generator."""
+    found = {}
+    for level in ("light", "full"):
+        body = Body.free(level)
+        generator = torch.Generator().manual_seed(0)
+        draws = [synthetic.draw(name, generator) for name in ("walk", "wave-left-hand")]
+        i, j = (synthetic.perform(draw, FRAMES, body.rest_joints) for draw in draws)
+        composed = couple(i, j, body.rest_joints).motion
+        judge = Decoupler(body, load_mae())
+
+        config = RefinementConfig()
+        problem = Problem.build(composed, i, j, judge, config)
+        offsets = torch.zeros_like(composed.six).requires_grad_()
+        chosen = spread_frames(FRAMES, config.frames, generator)
+
+        def refining(problem=problem, offsets=offsets, chosen=chosen) -> Tensor:
+            return sum(problem.terms(torch.zeros(len(PARTS)), offsets, chosen, 0).values())
+
+        found[f"refining, {level} body"] = shares(judge, refining, repeats)
+
+        clips = [
+            Clips(clip.rotations.expand(8, *clip.rotations.shape), clip.root.expand(8, *clip.root.shape))
+            for clip in (composed, i, j)
+        ]
+        frames = torch.randint(FRAMES, (8, 2), generator=generator)
+
+        def training(judge=judge, clips=clips, frames=frames) -> Tensor:
+            made = Clips(clips[0].rotations.detach().clone().requires_grad_(), clips[0].root)
+            return judge(made, *clips[1:], frames).loss
+
+        found[f"training, {level} body"] = shares(judge, training, repeats)
+    return found
