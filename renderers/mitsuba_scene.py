@@ -18,6 +18,7 @@ from renderers.camera import NEAR, Camera
 from renderers.checks import check_shapes
 
 SCALAR, LLVM = "scalar_rgb", "llvm_ad_rgb"
+Crop = tuple[int, int, int, int]
 IN_FRONT = 1.0  # metres between a weak-perspective camera and the nearest vertex
 
 
@@ -92,20 +93,21 @@ def square(vertices: Tensor, camera: Camera) -> Tensor:
     return (taller - camera.translation[:, None]) @ camera.rotation
 
 
-def sensor(camera: Camera, vertices: Tensor, samples: int, seed: int = 0, filter: str = "box") -> Any:
+def sensor(camera: Camera, vertices: Tensor, samples: int, filter: str = "box", crop: Crop | None = None) -> Any:
     """The first of the cameras as a `mi.Sensor` of the current variant, for vertices that went through `square`.
 
     The film is float32 RGBA; under its box filter a pixel is the mean of the samples in it, which are stratified.
 
     Args:
         vertices: [V 3] world, metres: a weak-perspective camera stands before all of them.
-        samples: a pixel; Mitsuba makes a whole number of rows and columns of it.
-        seed: of the samples.
+        samples: a pixel, stratified; a number that has no two like factors is rounded up, which is said.
         filter: Mitsuba's name of the film's filter; "gaussian" looks better, and is no area.
+        crop: (top, left, height, width) of the only pixels to render.
     """
     import mitsuba as mi
 
     height, width = camera.size
+    top, left, rows, columns = crop or (0, 0, height, width)
     rotation, eye = camera.rotation[0].double().cpu(), camera.translation[0].double().cpu()
     (focal, _), (x, y) = camera.focal[0].tolist(), camera.centre[0].tolist()
     right, down = width / 2 - x, height / 2 - y  # from the optical axis to the middle of the picture, in pixels
@@ -135,12 +137,16 @@ def sensor(camera: Camera, vertices: Tensor, samples: int, seed: int = 0, filter
                 "type": "hdrfilm",
                 "width": width,
                 "height": height,
+                "crop_offset_x": left,
+                "crop_offset_y": top,
+                "crop_width": columns,
+                "crop_height": rows,
                 "pixel_format": "rgba",
                 "component_format": "float32",
                 "rfilter": {"type": filter},
                 "sample_border": True,
             },
-            "sampler": {"type": "multijitter", "sample_count": samples, "seed": seed},
+            "sampler": {"type": "multijitter", "sample_count": samples},
         }
     )
 
