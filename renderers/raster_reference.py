@@ -1,8 +1,9 @@
 """The specification: area coverage as plainly as it can be said. To be read and compared with, not to be used.
 
-On each sub-scanline the silhouette is the union of the triangles' spans. Its length inside every pixel is exact along
-the scan; across it, ``subscanlines`` scans stand for a pixel. Rows and columns are scanned and averaged. Gradients flow
-through the ends of the spans by autograd.
+On each sub-scanline the silhouette is the union of the triangles' spans. An end of a span stands for its edge from half
+a sub-scanline before to half a one after, so it is a stretch as wide as the edge's slope makes it. Rows and columns are
+scanned and averaged. Gradients flow through the ends of the spans by autograd: rows measure what outline that moves in
+x sweeps, columns what it sweeps in y.
 """
 
 import torch
@@ -37,27 +38,32 @@ def scan(triangles: Tensor, height: int, width: int, subscanlines: int) -> Tenso
     return torch.stack(
         [
             torch.stack(
-                [_covered((row + (sub + 0.5) / subscanlines), triangles, width) for sub in range(subscanlines)]
+                [
+                    _covered(row + (sub + 0.5) / subscanlines, triangles, width, subscanlines)
+                    for sub in range(subscanlines)
+                ]
             ).mean(0)
             for row in range(height)
         ]
     )
 
 
-def _covered(y: float, triangles: Tensor, width: int) -> Tensor:
-    """Length [W] that the union of the triangles' spans at height y has in each pixel."""
-    spans = _spans(y, triangles)
-    spans = spans[spans[:, 0].argsort()]
+def _covered(y: float, triangles: Tensor, width: int, subscanlines: int) -> Tensor:
+    """Area [W] that the union of the triangles' spans at height y has in each pixel, if a line is a pixel high."""
+    place, half = _spans(y, triangles, width, subscanlines)
+    order = place[:, 0].argsort()
+    place, half = place[order], half[order]
     # What each span adds to the ones that start left of it: disjoint pieces that sum to the union.
-    reached = torch.cat([spans.new_zeros(1), spans[:, 1].cummax(0).values])[:-1]
-    start = torch.maximum(spans[:, 0], reached)
-    end = torch.maximum(spans[:, 1], start)
-    left = torch.arange(width, dtype=triangles.dtype, device=triangles.device)
-    return ((end[:, None] - left).clamp(0, 1) - (start[:, None] - left).clamp(0, 1)).sum(0)
+    reached, at = place[:, 1].cummax(0)
+    reached = torch.cat([reached.new_full((1,), -1.0), reached])[:-1]
+    reached_half = torch.cat([half.new_zeros(1), half[at, 1]])[:-1]
+    start, start_half = _farther(place[:, 0], half[:, 0], reached, reached_half)
+    end, end_half = _farther(place[:, 1], half[:, 1], start, start_half)
+    return (_past(end, end_half, width) - _past(start, start_half, width)).sum(0)
 
 
-def _spans(y: float, triangles: Tensor) -> Tensor:
-    """(start, end) [K 2] along the line at height y of the triangles that it crosses.
+def _spans(y: float, triangles: Tensor, width: int, subscanlines: int) -> tuple[Tensor, Tensor]:
+    """Start and end [K 2] of the triangles' spans along the line at height y, and half the widths of their stretches.
 
     A vertex on the line counts as lying before it (smaller y), so that each triangle is crossed twice or never.
     """
@@ -66,9 +72,29 @@ def _spans(y: float, triangles: Tensor) -> Tensor:
     hit = crossed.any(1)
     start, end = start[hit][crossed[hit]], end[hit][crossed[hit]]
     along, across = (end - start).unbind(1)
-    place = start[:, 0] + (y - start[:, 1]) / across * along
-    # Rows answer for upright edges and columns for level ones, in shares that add up: each alone would be an estimate
-    # of the whole gradient, but a wild one where edge and scan are nearly parallel. Twice, as the two are averaged.
-    share = (2 * across**2 / (across**2 + along**2)).detach()
-    place = place.detach() + share * (place - place.detach())
-    return place.view(-1, 2).sort(dim=1).values
+    weight = ((y - start[:, 1]) / across).detach()
+    place = torch.lerp(start[:, 0], end[:, 0], weight).clamp(-1, width + 1)
+    half = ((along / across).abs() / (2 * subscanlines)).clamp(max=0.5).detach()
+    # Rows and columns each give one component of the gradient whole; they are averaged.
+    place = place.detach() + 2 * (place - place.detach())
+    place, order = place.view(-1, 2).sort(dim=1)
+    return place, half.view(-1, 2).gather(1, order)
+
+
+def _farther(place: Tensor, half: Tensor, other: Tensor, other_half: Tensor) -> tuple[Tensor, Tensor]:
+    """Whichever of two places [K] lies farther right, and its stretch."""
+    ours = place > other
+    return torch.where(ours, place, other), torch.where(ours, half, other_half)
+
+
+def _past(place: Tensor, half: Tensor, width: int) -> Tensor:
+    """Mean over a stretch of what it has left behind of each pixel: [K] -> [K W] in 0..1."""
+    left = torch.arange(width, dtype=place.dtype, device=place.device)
+    offset, half = place[:, None] - left, half[:, None]
+
+    def summed(x: Tensor) -> Tensor:
+        """The integral of x clamped to 0..1."""
+        return x.clamp(0, 1).square() / 2 + (x - 1).clamp(min=0)
+
+    mean = (summed(offset + half) - summed(offset - half)) / (2 * half)
+    return torch.where(half > 1e-6, mean, offset.clamp(0, 1))

@@ -18,7 +18,7 @@ from renderers.poses import POSE_NAMES, sixteen_poses
 DRAWING = Path(__file__).resolve().parents[1] / "docs" / "fold-scan.svg"
 PIXELS, SCALE, GAP, HEAD = 22, 20, 24, 56  # pixels a panel, drawn units a pixel, between panels, above them
 RED, BLUE, GOLD = LINES[0], LINES[1], LINES[2]
-SCANNED = 9  # the row of pixels whose scans are shown
+SCANNED_ROW, SCANNED_COLUMN = 9, 4  # the row and the column of pixels whose scans are shown
 SUBSCANLINES = 4
 
 
@@ -29,6 +29,8 @@ def main(out: Path = DRAWING) -> None:
     edges = points[0, mesh.edges]
     image = raster_fold.coverage(points, mesh, (PIXELS, PIXELS), SUBSCANLINES)[0, 0]
     rows = raster_fold.find_outline(folds, 1, PIXELS, PIXELS, SUBSCANLINES)
+    turned = folds._replace(points=folds.points.flip(-1))
+    columns = raster_fold.find_outline(turned, 1, PIXELS, PIXELS, SUBSCANLINES)
 
     all_edges, fold_lines = lines(edges[:, 0], edges[:, 1]), lines(start, end)
     panels = [
@@ -42,7 +44,7 @@ def main(out: Path = DRAWING) -> None:
         ),
         (
             "3 · area, and its gradient at the outline",
-            cells(image) + path(fold_lines, RED, 0.5) + arrows(points[0], rows),
+            cells(image) + path(fold_lines, RED, 0.5) + arrows(points[0], rows, columns),
         ),
     ]
     width = 3 * PIXELS * SCALE + 4 * GAP
@@ -75,7 +77,7 @@ def crossed_arms() -> tuple[Tensor, Mesh]:
 def scan(folds: raster_fold.Folds) -> str:
     """One scan line with its crossings, the sum between them, and what is covered of it."""
     start, end = folds.points.view(2, -1, 2)
-    y = SCANNED + 0.5
+    y = SCANNED_ROW + 0.5
     hit = (start[:, 1] > y) != (end[:, 1] > y)
     start, end, winding = start[hit], end[hit], folds.winding[hit]
     x = start[:, 0] + (y - start[:, 1]) / (end - start)[:, 1] * (end - start)[:, 0]
@@ -109,19 +111,22 @@ def cells(image: Tensor) -> str:
     )
 
 
-def arrows(points: Tensor, outline: raster_fold.Outline) -> str:
-    """The scans of one row of pixels, and at their outline crossings the direction in which area is won."""
+def arrows(points: Tensor, rows: raster_fold.Outline, columns: raster_fold.Outline) -> str:
+    """The scans of one row and one column of pixels; each says how area grows when its outline moves along it."""
     drawn = []
-    for sub in range(SUBSCANLINES):
-        y = (SCANNED + (sub + 0.5) / SUBSCANLINES) * SCALE
-        drawn.append(f'<line x1="0" x2="{PIXELS * SCALE}" y1="{y}" y2="{y}" stroke="{GOLD}" stroke-width="1"/>')
-    first, second = points[outline.ends]
-    places = torch.lerp(first, second, outline.weight[:, None])
-    for pixel, place, sweep in zip(outline.pixel // PIXELS, places, outline.sweep, strict=True):
-        if pixel == SCANNED:
-            start, tip = place * SCALE, (place + 1.1 * sweep / sweep.norm()) * SCALE
-            drawn.append(path([(start, tip)], BLUE, 2.2))
-            drawn.append(f'<circle cx="{tip[0]:.1f}" cy="{tip[1]:.1f}" r="3.2" fill="{BLUE}"/>')
+    for axis, (outline, scanned) in enumerate(((rows, SCANNED_ROW), (columns, SCANNED_COLUMN))):
+        for sub in range(SUBSCANLINES):
+            at, far = (scanned + (sub + 0.5) / SUBSCANLINES) * SCALE, PIXELS * SCALE
+            ends = [torch.tensor([0.0, at]), torch.tensor([float(far), at])]
+            drawn.append(path([tuple(end.roll(axis) for end in ends)], GOLD, 1))
+        first, second = points[outline.ends]
+        places = torch.lerp(first, second, outline.weight[:, None])
+        for row, place, step in zip(outline.row, places, outline.step, strict=True):
+            if row == scanned:
+                tip = place.clone()
+                tip[axis] -= 1.2 * step
+                drawn.append(path([(place * SCALE, tip * SCALE)], BLUE, 2.2))
+                drawn.append(f'<circle cx="{tip[0] * SCALE:.1f}" cy="{tip[1] * SCALE:.1f}" r="3.2" fill="{BLUE}"/>')
     return "".join(drawn)
 
 
