@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from tyro.conf import CascadeSubcommandArgs, FlagCreatePairsOff
 from tyro.extras import SubcommandApp
 
+from refine.cli.check_renderer import CheckRenderer
 from refine.cli.compose import Compose
 from refine.cli.data import ImportData
 from refine.cli.demo import Demo
@@ -32,17 +33,19 @@ def verbs() -> SubcommandApp:
     app.command(data, name="data", help="Prepare motion data.\n\nExample: refine data import clips --out clips.npz")
     app.command(train, name="train", help="Train the networks.\n\nExample: refine train mae tiny --out runs/mae")
     app.command(Generate, name="generate")
+    app.command(CheckRenderer, name="check-renderer")
     return app
 
 
 def main(argv: Sequence[str] | None = None) -> int:
-    """Run one command: 0 when it is done, 2 for what the user can mend, 130 after Ctrl-C."""
+    """Run one command: 0 when it is done, 1 when it found what it checks wanting, 2 for what the user can mend, 130
+    after Ctrl-C."""
     try:
         verb = verbs().cli(
             prog="refine", description=DESCRIPTION, args=argv, config=(FlagCreatePairsOff, CascadeSubcommandArgs)
         )
         check_seed(verb.seed)
-        verb.run()
+        code = verb.run()
         sys.stdout.flush()
     except KeyboardInterrupt:
         return fail("stopped; nothing half-written is left", 130)
@@ -55,7 +58,7 @@ def main(argv: Sequence[str] | None = None) -> int:
         if error.filename is None:
             raise
         return fail(f"{error.filename}: {error.strerror}", 2)
-    return 0
+    return code or 0
 
 
 def check_seed(seed: int | None) -> None:

@@ -1,0 +1,158 @@
+"""``refine check-renderer``: our silhouettes beside those of an independent renderer."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from renderers.checks import UserError
+
+if TYPE_CHECKING:
+    from torch import Tensor
+
+    from renderers.body import Body
+    from renderers.camera import Camera
+    from renderers.judging import Slope
+
+YAW, ELEVATION = 28.0, 14.0  # degrees, of the camera
+GRADIENT_SIZE, LOSSES = 64, 8  # pixels, and how many losses are sloped
+TURN = 1e-3  # radians, of an arm
+
+
+@dataclass(frozen=True)
+class CheckRenderer:
+    """Compare our silhouettes with Mitsuba's: bodies, their parts, and gradients where an LLVM is found.
+
+    Writes table.md, check.json and sheet.png. Exit code 1 says that they differ by more than the stated tolerance.
+
+    Example: refine check-renderer -o check
+    """
+
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Folder to write; replaced as a whole with --force."""
+    motion: Positional[str | None] = None
+    """A .bvh or .npz file, or the name of a built-in action; None takes sixteen still poses."""
+    size: tuple[int, ...] = (64, 112, 224)
+    """Sides of the images in pixels."""
+    poses: int = 16
+    """Poses, evenly spread over the motion."""
+    samples: int = 144
+    """Mitsuba's rays a pixel, in each of two renders; rounded up to a square."""
+    camera: Literal["pinhole", "weak"] = "pinhole"
+    """Perspective, or weak perspective."""
+    body: Path | None = None
+    """Your SMPL file instead of the free body."""
+    force: bool = False
+    """Replace the folder if something is in it."""
+    seed: int = 0
+    """Of a built-in action, and of Mitsuba's rays."""
+
+    def run(self) -> int:
+        import json
+        from dataclasses import asdict
+        from math import ceil, sqrt
+
+        from refine.cli.inputs import bar, body_of
+        from renderers.images import save_png
+        from renderers.judging import agreement, explanation, pair, sheet, steps, table
+        from renderers.mesh import Mesh
+        from renderers.outputs import refuse_existing, replacing_folder
+        from renderers.raster_mitsuba import find_llvm
+
+        if not self.size or not all(16 <= side <= 512 for side in self.size):
+            raise UserError("--size", f"expected sides of 16 to 512 pixels, got {' '.join(map(str, self.size))}")
+        if not (1 <= self.poses <= 100 and 4 <= self.samples <= 4096):
+            raise UserError("refine check-renderer", "poses must be 1 to 100 and samples 4 to 4096")
+        refuse_existing(self.out, self.force, folder=True)
+        body, samples = body_of(self.body), ceil(sqrt(self.samples)) ** 2
+        names, rotations, root = self._posed(body)
+        vertices = body(rotations, root).vertices
+        meshes = [Mesh.build(body.faces), Mesh.build(body.faces, body.face_parts)]
+
+        with bar(len(meshes) * len(self.size) * steps(len(names)), "compare") as progress:
+            plain, parts = (
+                [pair(vertices, mesh, self._views(vertices, side), samples, self.seed, progress) for side in self.size]
+                for mesh in meshes
+            )
+        llvm = find_llvm()
+        slopes = self._slopes(body, rotations, root, samples) if llvm else []
+        agreements = [agreement(pair) for pair in (*plain, *parts)]
+        agrees = all(of.agrees for of in (*agreements, *slopes))
+
+        heading = f"{len(names)} poses of {self.motion or 'the built-in set'}, {self.camera} camera"
+        judged = (
+            f"Gradients at {GRADIENT_SIZE} px, by Mitsuba's projective integrator with {llvm}."
+            if llvm
+            else "Gradients were not compared: no LLVM was found that Mitsuba's projective integrator runs with. The "
+            "tests compare them with finite differences of Mitsuba's renders."
+        )
+        tables = table(agreements, slopes)
+        with replacing_folder(self.out) as partial:
+            page = [f"# Silhouettes beside Mitsuba's: {heading}", tables, explanation(samples), judged]
+            (partial / "table.md").write_text("\n\n".join(page) + "\n")
+            numbers = {
+                "agrees": agrees,
+                "poses": heading,
+                "samples": samples,
+                "llvm": llvm and str(llvm),
+                "images": [asdict(of) | {"agrees": of.agrees} for of in agreements],
+                "gradients": [asdict(of) | {"agrees": of.agrees} for of in slopes],
+            }
+            (partial / "check.json").write_text(json.dumps(numbers, indent=1))
+            save_png(partial / "sheet.png", sheet(plain, parts, names, f"Ours beside Mitsuba's: {heading}"))
+        print(tables, judged, self.out / "sheet.png", sep="\n\n")
+        return 0 if agrees else 1
+
+    def _posed(self, body: "Body") -> "tuple[list[str], Tensor, Tensor]":
+        """Names of the poses, their rotations [N 24 3 3] and roots [N 3]."""
+        import torch
+
+        from refine.cli.inputs import clip_of
+        from renderers.poses import POSE_NAMES, sixteen_poses
+
+        if self.motion is None:
+            names, rotations, root = list(POSE_NAMES), sixteen_poses(), torch.zeros(len(POSE_NAMES), 3)
+        else:
+            motion = clip_of(self.motion, body.rest_joints, self.seed)
+            rotations, root = motion.rotations, motion.root
+            names = [f"frame {frame}" for frame in range(len(motion))]
+        chosen = torch.linspace(0, len(names) - 1, min(self.poses, len(names))).round().long()
+        return [names[k] for k in chosen], rotations[chosen], root[chosen]
+
+    def _views(self, vertices: "Tensor", side: int, round_about: float = 0.0) -> "Camera":
+        """A camera for each of the bodies [N V 3], which fills the picture with it; degrees from one to the next."""
+        from math import radians
+
+        from renderers.camera import cat, frame
+
+        turns = [radians(YAW + round_about * k) for k in range(len(vertices))]
+        return cat(
+            [
+                frame(body, (side, side), yaw, radians(ELEVATION), kind=self.camera)
+                for body, yaw in zip(vertices, turns, strict=True)
+            ]
+        )
+
+    def _slopes(self, body: "Body", rotations: "Tensor", root: "Tensor", samples: int) -> "list[Slope]":
+        """Gradients along shifts in the image's x and y, scale, and a turn of one arm, from all sides."""
+        import torch
+
+        from renderers.judging import OWN_LIMB_SLOPE, OWN_SLOPE, slopes
+        from renderers.mesh import Mesh
+        from renderers.rotations import axis_angle_to_matrix
+        from renderers.skeleton import JOINTS
+
+        some = torch.linspace(0, len(root) - 1, LOSSES).round().long()
+        rotations, root, turned = rotations[some], root[some], rotations[some]
+        turn = axis_angle_to_matrix(torch.tensor([0.0, 0.0, TURN]))
+        turned[:, JOINTS["left_shoulder"]] = turn @ turned[:, JOINTS["left_shoulder"]]
+        vertices = body(rotations, root).vertices
+        camera = self._views(vertices, GRADIENT_SIZE, 360 / LOSSES)
+        motions = {
+            "shift in x": (camera.rotation[:, :1].expand_as(vertices), OWN_SLOPE),
+            "shift in y": (camera.rotation[:, 1:2].expand_as(vertices), OWN_SLOPE),
+            "scale": (vertices - vertices.mean(1, keepdim=True), OWN_SLOPE),
+            "left arm": ((body(turned, root).vertices - vertices) / TURN, OWN_LIMB_SLOPE),
+        }
+        return slopes(vertices, motions, Mesh.build(body.faces), camera, samples, self.seed)
