@@ -18,6 +18,7 @@ from refine import decoupling, synthetic
 from refine.coupling import couple
 from refine.decoupling import Decoupler
 from refine.mae import load_mae
+from refine.motion import Motion
 from refine.refinement import Problem, RefinementConfig, spread_frames
 from refine.seeing import Clips
 from renderers import camera, silhouette
@@ -25,6 +26,7 @@ from renderers.body import Body
 from renderers.skeleton import PARTS
 
 FRAMES = 60
+WARM_UP = 2
 PATCHES = ("attention_map", "patch_means", "keep_top", "patchify", "unpatchify", "paste")
 
 
@@ -33,7 +35,7 @@ class Stages:
 
     def __init__(self):
         self.forward, self.backward = Counter(), Counter()
-        self._inside = [0.0]  # seconds spent in inner stages, for each stage that is open
+        self._inside = [0.0]  # seconds of inner stages and their bookkeeping, for the step and each open stage
         self._stage_of = {}
 
     def wrap(self, stage: str, function: Callable) -> Callable:
@@ -45,7 +47,7 @@ class Stages:
             self.forward[stage] += seconds - self._inside.pop()
             start = time.perf_counter()
             self._claim(stage, result, args)
-            # The bookkeeping must not count for the stage around this one.
+            # The bookkeeping counts for no stage, this one or one around it.
             self._inside[-1] += seconds + time.perf_counter() - start
             return result
 
@@ -73,7 +75,7 @@ class Stages:
     def seconds(self, forward: float, backward: float) -> dict[str, tuple[float, float]]:
         """Forward and backward of each stage and, from the whole step's, of the rest."""
         found = {stage: (self.forward[stage], self.backward[stage]) for stage in self.forward}
-        rest = forward - self.forward.total(), backward - self.backward.total()
+        rest = forward - self._inside[0], backward - self.backward.total()
         return found | {"rest": rest}
 
 
@@ -109,58 +111,52 @@ def watched(judge: Decoupler) -> Iterator[Stages]:
 
 
 def shares(judge: Decoupler, loss: Callable[[], Tensor], repeats: int) -> dict[str, dict[str, float]]:
-    """Median milliseconds of a step, by stage: ``forward``, ``backward``, and ``share`` of their sum."""
+    """Median milliseconds of a step, by stage: ``forward``, ``backward``, and ``share`` of all."""
     found = []
-    for _ in range(repeats + 2):
+    for _ in range(WARM_UP + repeats):
         with watched(judge) as stages:
             start = time.perf_counter()
             value = loss()
             middle = time.perf_counter()
             value.backward()
             end = time.perf_counter()
-        bookkeeping = stages._inside[0] - stages.forward.total()
-        found.append(stages.seconds(middle - start - bookkeeping, end - middle))
-    rows = {
-        stage: {name: 1e3 * statistics.median(step[stage][at] for step in found[2:]) for at, name in enumerate(WAYS)}
-        for stage in found[0]
-    }
+        found.append(stages.seconds(middle - start, end - middle))
+    rows = {}
+    for stage in found[0]:
+        forward, backward = (1e3 * statistics.median(step[stage][way] for step in found[WARM_UP:]) for way in (0, 1))
+        rows[stage] = {"forward": forward, "backward": backward}
     total = sum(row["forward"] + row["backward"] for row in rows.values())
     return {stage: row | {"share": (row["forward"] + row["backward"]) / total} for stage, row in rows.items()}
 
 
-WAYS = ("forward", "backward")
-
-
-def decoupling_steps(repeats: int) -> dict[str, dict]:
+def decoupling_steps(repeats: int, threads: int) -> dict[str, dict]:
     """The two steps that use the loss, with either body: refining a clip, and training a generator."""
+    torch.set_num_threads(threads)
     found = {}
     for level in ("light", "full"):
         body = Body.free(level)
+        judge = Decoupler(body, load_mae())
         generator = torch.Generator().manual_seed(0)
         draws = [synthetic.draw(name, generator) for name in ("walk", "wave-left-hand")]
         i, j = (synthetic.perform(draw, FRAMES, body.rest_joints) for draw in draws)
         composed = couple(i, j, body.rest_joints).motion
-        judge = Decoupler(body, load_mae())
-
-        config = RefinementConfig()
-        problem = Problem.build(composed, i, j, judge, config)
-        offsets = torch.zeros_like(composed.six).requires_grad_()
-        chosen = spread_frames(FRAMES, config.frames, generator)
-
-        def refining(problem=problem, offsets=offsets, chosen=chosen) -> Tensor:
-            return sum(problem.terms(torch.zeros(len(PARTS)), offsets, chosen, 0).values())
-
-        found[f"refining, {level} body"] = shares(judge, refining, repeats)
-
-        clips = [
-            Clips(clip.rotations.expand(8, *clip.rotations.shape), clip.root.expand(8, *clip.root.shape))
-            for clip in (composed, i, j)
-        ]
-        frames = torch.randint(FRAMES, (8, 2), generator=generator)
-
-        def training(judge=judge, clips=clips, frames=frames) -> Tensor:
-            made = Clips(clips[0].rotations.detach().clone().requires_grad_(), clips[0].root)
-            return judge(made, *clips[1:], frames).loss
-
-        found[f"training, {level} body"] = shares(judge, training, repeats)
+        for name, step in (("refining", refining), ("training", training)):
+            found[f"{name}, {level} body"] = shares(judge, step(judge, composed, i, j), repeats)
     return found
+
+
+def refining(judge: Decoupler, composed: Motion, i: Motion, j: Motion) -> Callable[[], Tensor]:
+    """A step of `refine_motion`: 8 frames in one view, the sub-actions already drawn."""
+    config = RefinementConfig()
+    problem = Problem.build(composed, i, j, judge, config)
+    shares, offsets = torch.zeros(len(PARTS)), torch.zeros_like(composed.six).requires_grad_()
+    frames = spread_frames(FRAMES, config.frames, torch.Generator().manual_seed(0))
+    return lambda: sum(problem.terms(shares, offsets, frames, 0).values())
+
+
+def training(judge: Decoupler, composed: Motion, i: Motion, j: Motion) -> Callable[[], Tensor]:
+    """The loss of a training step: 2 frames of 8 clips in two views, the sub-actions drawn as well."""
+    made, *given = (Clips(clip.rotations.repeat(8, 1, 1, 1, 1), clip.root.repeat(8, 1, 1)) for clip in (composed, i, j))
+    made.rotations.requires_grad_()
+    frames = torch.randint(FRAMES, (8, 2), generator=torch.Generator().manual_seed(0))
+    return lambda: judge(made, *given, frames).loss
