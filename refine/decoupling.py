@@ -177,7 +177,7 @@ class Decoupler(nn.Module):
         predicted = torch.cat([self.mae(*some) for some in zip(shown.split(CHUNK), kept.split(CHUNK), strict=True)])
         inpainted = unpatchify(paste(visible, predicted, kept), patch, self.size)
         difference = inpainted - reference.seen.pictures
-        blurred = [blur(difference, sigma) if sigma else difference for sigma in self.config.blurs]
+        blurred = [blur(difference, sigma) for sigma in self.config.blurs]
         errors = torch.stack([scale.square().mean((2, 3)) for scale in blurred]).mean(0)
         return Side(attention, kept, inpainted, (errors * reference.owned.answers).mean(1))
 

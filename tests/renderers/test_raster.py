@@ -233,6 +233,17 @@ def test_a_batch_is_its_frames_and_a_run_repeats_bit_by_bit(generator):
         assert torch.equal(pulls[here], gradient(raster_fold, points[here], mesh, cotangent[here], 4))
 
 
+def test_torch_s_deterministic_mode_finds_nothing_to_refuse(generator):
+    points, _, mesh = poses()
+    cotangent = torch.randn(3, 6, *SIZE, dtype=torch.float64, generator=generator)
+    usual = gradient(raster_fold, points, mesh, cotangent, 4)
+    torch.use_deterministic_algorithms(True)
+    try:
+        assert torch.equal(gradient(raster_fold, points, mesh, cotangent, 4), usual)
+    finally:
+        torch.use_deterministic_algorithms(False)
+
+
 @pytest.mark.skipif(not torch.cuda.is_available(), reason="needs a GPU")
 def test_a_gpu_draws_the_same_and_repeats_bit_by_bit(generator):
     points, _, mesh = poses()

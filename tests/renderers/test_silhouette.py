@@ -117,6 +117,20 @@ def test_blur_spreads_over_the_pixels_asked_for_and_keeps_the_sum():
     assert across.item() == pytest.approx(3, rel=0.03)
 
 
+def test_the_gradient_of_a_blur_is_the_blurred_cotangent(generator):
+    images, cotangent = torch.rand(2, 2, 3, 17, 23, dtype=torch.float64, generator=generator)
+    images.requires_grad_()
+    pull = torch.autograd.grad(blur(images, 2.3), images, cotangent)[0]
+    torch.testing.assert_close(pull, blur(cotangent, 2.3))
+    assert blur(images, 0.0) is images
+
+
+@pytest.mark.parametrize("sigma", [-1.0, float("nan"), float("inf")])
+def test_a_blur_without_meaning_is_refused(sigma):
+    with pytest.raises(UserError, match="expected 0 or more pixels"):
+        blur(torch.zeros(1, 1, 4, 4), sigma)
+
+
 def test_a_blurred_pair_pulls_where_a_sharp_one_does_not():
     ball, faces = sphere()
     middle, mesh = 0.2 * ball[None], Mesh.build(faces)
