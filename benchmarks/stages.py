@@ -55,18 +55,20 @@ class Stages:
 
     def _claim(self, stage: str, results: object, args: tuple):
         """Time the backward of all nodes between ``args`` and ``results`` that no inner stage has claimed."""
-        borders = {tensor.grad_fn for tensor in tensors(args)}
+        seen = {None} | {tensor.grad_fn for tensor in tensors(args)}
         waiting = [tensor.grad_fn for tensor in tensors(results)]
         while waiting:
             node = waiting.pop()
-            if node is None or node in borders or node in self._stage_of:
+            if node in seen:
                 continue
-            self._stage_of[node] = stage
-            node.register_prehook(lambda _, node=node: self._begin(node))
-            node.register_hook(lambda *_, node=node: self._end(node))
+            seen.add(node)
             waiting += [before for before, _ in node.next_functions]
+            if node not in self._stage_of:
+                self._stage_of[node] = stage
+                node.register_prehook(lambda _: self._begin())
+                node.register_hook(lambda *_, node=node: self._end(node))
 
-    def _begin(self, node):
+    def _begin(self):
         self._start = time.perf_counter()
 
     def _end(self, node):
