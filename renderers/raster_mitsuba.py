@@ -131,7 +131,8 @@ def gradient(
 
 def find_llvm() -> Path | None:
     """The newest LLVM at the usual places that `gradient` works with; ``DRJIT_LIBLLVM_PATH`` comes before them."""
-    named = [Path(path).absolute() for path in [os.environ.get("DRJIT_LIBLLVM_PATH")] if path]
+    named = [Path(name) for name in [os.environ.get("DRJIT_LIBLLVM_PATH")] if name]
+    named = [path.absolute() if path.exists() else path for path in named]  # a bare name is for the system to find
     found = {Path(path).resolve() for pattern in LIBRARIES for path in glob(pattern)}
     newest = sorted(found, key=lambda path: [int(number) for number in re.findall(r"\d+", path.name)], reverse=True)
     return first_working((*named, *newest))

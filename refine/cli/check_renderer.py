@@ -60,10 +60,10 @@ class CheckRenderer:
         from renderers.outputs import refuse_existing, replacing_folder
         from renderers.raster_mitsuba import find_llvm
 
-        if not self.size or not all(16 <= side <= 512 for side in self.size):
-            raise UserError("--size", f"expected sides of 16 to 512 pixels, got {' '.join(map(str, self.size))}")
-        if not (1 <= self.poses <= 100 and 4 <= self.samples <= 4096):
-            raise UserError("refine check-renderer", "poses must be 1 to 100 and samples 4 to 4096")
+        if not self.size or not all(32 <= side <= 512 for side in self.size):
+            raise UserError("--size", f"expected sides of 32 to 512 pixels, got {' '.join(map(str, self.size))}")
+        if not (1 <= self.poses <= 100 and 64 <= self.samples <= 4096):
+            raise UserError("refine check-renderer", "poses must be 1 to 100 and samples 64 to 4096")
         refuse_existing(self.out, self.force, folder=True)
         body, samples = body_of(self.body), ceil(sqrt(self.samples)) ** 2
         names, rotations, root = self._posed(body)
