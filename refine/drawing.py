@@ -13,11 +13,17 @@ from renderers.body import Body
 from renderers.camera import Camera, frame
 from renderers.images import part_picture
 from renderers.mesh import Mesh
+from renderers.palette import BACKGROUND, rgb
 from renderers.shade import part_colours, shade
 from renderers.silhouette import silhouette
 
 Style = Literal["shaded", "parts", "silhouette"]
+Draw = Callable[[Tensor, Tensor, Tensor, Camera], Tensor]  # as shade: vertices, faces, colours, camera -> pictures
 YAW, ELEVATION = 28.0, 14.0  # degrees; a little from the left and from above, so that depth is seen
+ACROSS = 66.0  # degrees between a path and the camera that sees a body come along it, from left to right
+STRIDE = 0.25  # metres between neighbours of a strobe picture; those of a motion that travels less stand side by side
+BORDER = 0.08  # of the height, on each side of a picture with wide shadows
+FAINTEST = 0.22  # how much of its colour the first body of a strobe picture keeps
 
 
 @dataclass(frozen=True)
@@ -27,18 +33,19 @@ class Painter:
     style: Style
     mesh: Mesh
     colours: Tensor  # [V 3]
+    draw: Draw = shade  # what draws the style "shaded"
 
     @classmethod
-    def of(cls, body: Body, style: Style = "shaded", copies: int = 1) -> "Painter":
+    def of(cls, body: Body, style: Style = "shaded", copies: int = 1, draw: Draw = shade) -> "Painter":
         count = len(body.rest_vertices)
         faces = (body.faces.cpu() + count * torch.arange(copies)[:, None, None]).reshape(-1, 3)
         parts = body.face_parts.cpu().repeat(copies)
         mesh = Mesh.build(faces, parts if style == "parts" else None)
-        return cls(style, mesh, part_colours(faces, parts, count * copies))
+        return cls(style, mesh, part_colours(faces, parts, count * copies), draw)
 
     def __call__(self, vertices: Tensor, camera: Camera) -> Tensor:
         if self.style == "shaded":
-            return shade(vertices, self.mesh.faces, self.colours, camera)
+            return self.draw(vertices, self.mesh.faces, self.colours, camera)
         with torch.no_grad():
             return torch.stack([part_picture(image) for image in silhouette(vertices, self.mesh, camera)])
 
@@ -50,26 +57,45 @@ def strip(
     height: int = 300,
     yaw: float = YAW,
     style: Style = "shaded",
+    draw: Draw = shade,
+    border: float = 0.0,
 ) -> list[Tensor]:
     """For each motion one wide picture [3 H W]: poses at even times, side by side, travel left out.
 
     All motions are drawn at one scale from one camera. Times run from the first to the last frame of each.
+    ``border`` is the part of the height that is added on each side, for shadows that reach far.
     """
-    rows = []
-    for motion in motions:
-        facing = canonicalise(motion)
-        frames = torch.linspace(0, len(motion) - 1, min(poses, len(motion))).round().long()
-        root = facing.root[frames] * torch.tensor([0.0, 1.0, 0.0])
-        rows.append(_posed(body, facing.rotations[frames], root))
-    # Bodies are set along the camera's own x axis, so that no body stands nearer than another.
-    turn = math.radians(yaw)
-    aside = torch.tensor([math.cos(turn), 0.0, -math.sin(turn)])
-    step = max(0.62, *(_clearance(row, aside) for row in rows))
-    spread = [row + (torch.arange(len(row))[:, None, None] - (len(row) - 1) / 2) * step * aside for row in rows]
-    points = torch.cat([row.reshape(-1, 3) for row in spread])
-    width = round(height * (_width(points[None], aside) + 0.2) / (float(points[:, 1].amax()) + 0.35))
-    camera = frame(points, (height, width), yaw=turn, elevation=math.radians(ELEVATION), margin=0.04)
-    return [Painter.of(body, style, len(row))(row.reshape(1, -1, 3), camera)[0] for row in spread]
+    rows = [_posed(body, *_in_place(*_moments(motion, poses))) for motion in motions]
+    spread = _side_by_side(rows, yaw)
+    camera = _wide(spread, height, yaw, border)
+    return [Painter.of(body, style, len(row), draw)(row.reshape(1, -1, 3), camera)[0] for row in spread]
+
+
+def strobe(
+    motion: Motion, body: Body, poses: int = 8, height: int = 300, yaw: float | None = None, draw: Draw = shade
+) -> Tensor:
+    """One picture [3 H W] of the body at even times along its real path, the earlier the paler.
+
+    A motion that stays in place is drawn as in a `strip`. Without a yaw, the path is seen from aside, from left to
+    right.
+    """
+    rotations, root = _moments(motion, poses)
+    path = root[:, [0, 2]]
+    travels = len(path) > 1 and (path[1:] - path[:-1]).norm(dim=1).mean() > STRIDE
+    if travels:
+        x, z = (path[-1] - path[0]).tolist()
+        yaw = math.degrees(math.atan2(x, z)) - ACROSS if yaw is None else yaw
+        bodies = _posed(body, rotations, root)
+        camera = _along(bodies, height, yaw, BORDER)
+    else:
+        yaw = YAW if yaw is None else yaw
+        [bodies] = _side_by_side([_posed(body, *_in_place(rotations, root))], yaw)
+        camera = _wide([bodies], height, yaw, BORDER)
+    painter = Painter.of(body, "shaded", len(bodies), draw)
+    share = torch.linspace(FAINTEST, 1, len(bodies)) if len(bodies) > 1 else torch.ones(1)
+    paper = torch.tensor(rgb(BACKGROUND))
+    colours = torch.lerp(paper, painter.colours, share.repeat_interleave(bodies.shape[1])[:, None])
+    return replace(painter, colours=colours)(bodies.reshape(1, -1, 3), camera)[0]
 
 
 def film(
@@ -111,6 +137,54 @@ def smoothed(path: Tensor, fps: float, seconds: float = 0.6) -> Tensor:
     half = round(seconds * fps / 2)
     padded = torch.cat([path[:1].expand(half, 3), path, path[-1:].expand(half, 3)])
     return padded.unfold(0, 2 * half + 1, 1).mean(-1)
+
+
+def _moments(motion: Motion, count: int) -> tuple[Tensor, Tensor]:
+    """Rotations [K 24 3 3] and root [K 3] at even times from the first to the last frame, which faces +z at first."""
+    facing = canonicalise(motion)
+    frames = torch.linspace(0, len(motion) - 1, min(count, len(motion))).round().long()
+    return facing.rotations[frames], facing.root[frames]
+
+
+def _in_place(rotations: Tensor, root: Tensor) -> tuple[Tensor, Tensor]:
+    return rotations, root * torch.tensor([0.0, 1.0, 0.0])
+
+
+def _side_by_side(rows: Sequence[Tensor], yaw: float) -> list[Tensor]:
+    """Rows of bodies [K V 3] set apart along the camera's own x axis, so that no body stands nearer than another."""
+    aside = _aside(yaw)
+    step = max(0.62, *(_clearance(row, aside) for row in rows))
+    return [row + (torch.arange(len(row))[:, None, None] - (len(row) - 1) / 2) * step * aside for row in rows]
+
+
+def _aside(yaw: float) -> Tensor:
+    """The x axis of a camera at a yaw in degrees."""
+    return torch.tensor([math.cos(math.radians(yaw)), 0.0, -math.sin(math.radians(yaw))])
+
+
+def _wide(rows: Sequence[Tensor], height: int, yaw: float, border: float) -> Camera:
+    """One camera for rows of bodies [K V 3] that stand side by side."""
+    points = torch.cat([row.reshape(-1, 3) for row in rows])
+    edge = round(border * height)
+    height -= 2 * edge
+    width = round(height * (_width(points[None], _aside(yaw)) + 0.2) / (float(points[:, 1].amax()) + 0.35))
+    return _bordered(frame(points, (height, width), math.radians(yaw), math.radians(ELEVATION), margin=0.04), edge)
+
+
+def _along(bodies: Tensor, height: int, yaw: float, border: float) -> Camera:
+    """A camera with perspective for bodies [K V 3] anywhere, its picture as wide as they need."""
+    points, angles = bodies.reshape(-1, 3), (math.radians(yaw), math.radians(ELEVATION))
+    edge = round(border * height)
+    height -= 2 * edge
+    seen = frame(points, (height, height), *angles, kind="pinhole").project(points[None])[0]
+    across, down = (seen.amax(0) - seen.amin(0)).tolist()
+    return _bordered(frame(points, (height, round(height * across / down)), *angles, margin=0.0, kind="pinhole"), edge)
+
+
+def _bordered(camera: Camera, edge: int) -> Camera:
+    """The same view with ``edge`` more pixels on each side."""
+    height, width = camera.size
+    return replace(camera, size=(height + 2 * edge, width + 2 * edge), centre=camera.centre + edge)
 
 
 def _posed(body: Body, rotations: Tensor, root: Tensor) -> Tensor:
