@@ -21,6 +21,7 @@ from torch import Tensor
 from renderers.checks import UserError
 from renderers.mesh import Mesh
 
+CHUNK = 32  # frames at once on a CPU: more of them leave its cache, and make memory grow
 WIDEST = 1.0  # pixels that a stretch of outline may be wide, so that it lies in two of them at most
 
 
@@ -63,7 +64,9 @@ def coverage(points: Tensor, mesh: Mesh, size: tuple[int, int], subscanlines: in
     Returns:
         [N C H W].
     """
-    return _Coverage.apply(points, mesh, size, subscanlines)
+    at_once = CHUNK if points.device.type == "cpu" else max(1, len(points))
+    pieces = [_Coverage.apply(some, mesh, size, subscanlines) for some in points.split(at_once)]
+    return pieces[0] if len(pieces) == 1 else torch.cat(pieces)
 
 
 class _Coverage(torch.autograd.Function):

@@ -220,13 +220,17 @@ def test_the_whole_is_the_union_of_its_parts():
         assert_images_close("a part alone", apart[:, part : part + 1], raster_fold.coverage(points, alone, SIZE, 64), 0)
 
 
-def test_a_batch_is_its_frames_and_a_run_repeats_bit_by_bit(generator):
+def test_a_batch_is_its_frames_and_a_run_repeats_bit_by_bit(generator, monkeypatch):
     points, _, mesh = poses()
     points = points.float()
     cotangent = torch.randn(3, 6, *SIZE, generator=generator)
     image, pulls = raster_fold.coverage(points, mesh, SIZE), gradient(raster_fold, points, mesh, cotangent, 4)
     assert torch.equal(image, raster_fold.coverage(points, mesh, SIZE))
     assert torch.equal(pulls, gradient(raster_fold, points, mesh, cotangent, 4))
+    monkeypatch.setattr(raster_fold, "CHUNK", 2)
+    assert torch.equal(image, raster_fold.coverage(points, mesh, SIZE))
+    assert torch.equal(pulls, gradient(raster_fold, points, mesh, cotangent, 4))
+    assert raster_fold.coverage(points[:0], mesh, SIZE).shape == (0, 6, *SIZE)
     for one in range(3):
         here = slice(one, one + 1)
         assert torch.equal(image[here], raster_fold.coverage(points[here], mesh, SIZE))
