@@ -135,7 +135,7 @@ def find_folds(points: Tensor, mesh: Mesh) -> Folds:
     frames, vertices, _ = points.shape
     # Frames last: gathering a vertex or a face then copies one row for all frames.
     by_vertex = points.permute(1, 2, 0).contiguous()
-    a, b, c = pick(by_vertex, mesh.faces.T.flatten()).view(3, -1, 2, frames)
+    a, b, c = pick(by_vertex, mesh.faces.T.flatten()).view(3, len(mesh.faces), 2, frames)
     b, c = b.sub_(a), c.sub_(a)  # in place: fresh memory costs more than the arithmetic
     sign = (b[:, 0] * c[:, 1]).sub_(b[:, 1] * c[:, 0]).sign_()
     sign = sign.to(torch.int8 if mesh.edge_faces.shape[1] < 128 else torch.int32)
