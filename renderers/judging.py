@@ -4,8 +4,11 @@ Mitsuba does everything twice, with different rays. Ours are compared with the m
 tells the noise that is left in it. So what is ours to answer for is what exceeds that noise.
 """
 
+import json
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
+from functools import cached_property
+from pathlib import Path
 
 import torch
 from torch import Tensor
@@ -13,7 +16,7 @@ from torch.nn.functional import max_pool2d
 
 from renderers import raster_mitsuba
 from renderers.camera import Camera
-from renderers.images import chart, contact_sheet, difference_picture, enlarged, part_picture
+from renderers.images import chart, contact_sheet, difference_picture, enlarged, part_picture, save_png
 from renderers.mesh import Mesh
 from renderers.silhouette import blur, silhouette
 
@@ -82,20 +85,43 @@ class Slope:
         return self.error <= self.tolerance
 
 
+@dataclass(frozen=True)
+class Judgement:
+    """All that was compared, of N poses."""
+
+    subject: str
+    names: Sequence[str]  # of the poses
+    samples: int
+    plain: Sequence[Pair]  # of each size
+    parts: Sequence[Pair]  # of each size
+    slopes: Sequence[Slope]  # none without LLVM
+    gradients: str  # what to say about them
+
+    @cached_property
+    def agreements(self) -> list[Agreement]:
+        return [agreement(pair) for pair in (*self.plain, *self.parts)]
+
+    @property
+    def agrees(self) -> bool:
+        return all(of.agrees for of in (*self.agreements, *self.slopes))
+
+
 # --- comparing -------------------------------------------------------------------------------------------------------
 
 
 def steps(poses: int) -> int:
-    """How often `pair` calls ``progress``."""
+    """How often `compare` calls ``progress``."""
     return 2 * -(-poses // AT_ONCE)
 
 
-def pair(vertices: Tensor, mesh: Mesh, camera: Camera, samples: int, seed: int, progress: Callable[[], object]) -> Pair:
+def compare(
+    vertices: Tensor, mesh: Mesh, camera: Camera, samples: int, seed: int, progress: Callable[[], object]
+) -> Pair:
     """The silhouettes of vertices [N V 3] before N cameras, by us and by Mitsuba."""
     with torch.no_grad():
         ours = silhouette(vertices, mesh, camera)
     renders = []
-    for again in (2 * seed, 2 * seed + 1):
+    for again in (seed, seed ^ 1):
         images = []
         for some in torch.arange(len(vertices)).split(AT_ONCE):
             images.append(raster_mitsuba.silhouette(vertices[some], mesh, camera[some], samples, again))
@@ -120,7 +146,7 @@ def agreement(pair: Pair) -> Agreement:
     )
 
 
-def slopes(
+def compare_gradients(
     vertices: Tensor,
     motions: dict[str, tuple[Tensor, float]],
     mesh: Mesh,
@@ -144,7 +170,7 @@ def slopes(
     moved = vertices.detach().requires_grad_()
     [ours] = torch.autograd.grad(silhouette(moved, mesh, camera), moved, weights)
     first, second = (
-        raster_mitsuba.gradient(vertices, mesh, camera, weights, samples, again) for again in (2 * seed, 2 * seed + 1)
+        raster_mitsuba.gradient(vertices, mesh, camera, weights, samples, again) for again in (seed, seed ^ 1)
     )
     gradients = (ours, (first + second) / 2, (first - second) / 2)
     return [
@@ -172,8 +198,26 @@ def slope(motion: str, own: float, ours: Tensor, mitsuba: Tensor, noise: Tensor)
 # --- telling ---------------------------------------------------------------------------------------------------------
 
 
-def table(agreements: Sequence[Agreement], slopes: Sequence[Slope]) -> str:
-    """Markdown tables of what was compared."""
+def write(folder: Path, judgement: Judgement) -> None:
+    """Write table.md, check.json and sheet.png."""
+    heading = f"Silhouettes beside Mitsuba's: {judgement.subject}"
+    page = [f"# {heading}", tables(judgement), explanation(judgement.samples), judgement.gradients]
+    (folder / "table.md").write_text("\n\n".join(page) + "\n")
+    numbers = {
+        "agrees": judgement.agrees,
+        "subject": judgement.subject,
+        "poses": list(judgement.names),
+        "samples": judgement.samples,
+        "images": [asdict(of) | {"agrees": of.agrees} for of in judgement.agreements],
+        "gradients": [asdict(of) | {"agrees": of.agrees} for of in judgement.slopes],
+        "gradients_by": judgement.gradients,
+    }
+    (folder / "check.json").write_text(json.dumps(numbers, indent=1))
+    save_png(folder / "sheet.png", sheet(judgement, heading))
+
+
+def tables(judgement: Judgement) -> str:
+    """The numbers in Markdown."""
     head = ("size", "images", "mean", "tolerance", "largest", "tolerance", "IoU", "Mitsuba's noise", "verdict")
     rows = [
         (
@@ -187,10 +231,10 @@ def table(agreements: Sequence[Agreement], slopes: Sequence[Slope]) -> str:
             f"{of.noise:.2e}",
             _verdict(of.agrees),
         )
-        for of in agreements
+        for of in judgement.agreements
     ]
-    tables = [_markdown(head, rows)]
-    if slopes:
+    made = [_markdown(head, rows)]
+    if judgement.slopes:
         head = ("gradient along", "relative error", "tolerance", "cosine", "Mitsuba's noise", "verdict")
         rows = [
             (
@@ -201,10 +245,10 @@ def table(agreements: Sequence[Agreement], slopes: Sequence[Slope]) -> str:
                 f"{of.noise:.4f}",
                 _verdict(of.agrees),
             )
-            for of in slopes
+            for of in judgement.slopes
         ]
-        tables.append(_markdown(head, rows))
-    return "\n\n".join(tables)
+        made.append(_markdown(head, rows))
+    return "\n\n".join(made)
 
 
 def explanation(samples: int) -> str:
@@ -233,15 +277,10 @@ def _markdown(head: Sequence[str], rows: Sequence[Sequence[str]]) -> str:
 # --- showing ---------------------------------------------------------------------------------------------------------
 
 
-def sheet(plain: Sequence[Pair], parts: Sequence[Pair], names: Sequence[str], title: str) -> Tensor:
-    """The poses that differ most, and profiles through outlines, as one picture [3 H W].
-
-    Args:
-        plain: of each size.
-        parts: of each size.
-        names: of the N poses.
-    """
-    body, split = plain[len(plain) // 2], parts[len(parts) // 2]
+def sheet(judgement: Judgement, title: str) -> Tensor:
+    """The poses that differ most, at the middle one of the sizes, and profiles through outlines: a picture [3 H W]."""
+    plain, names = judgement.plain, judgement.names
+    body, split = (pairs[len(pairs) // 2] for pairs in (plain, judgement.parts))
     apart = body.difference.mean((1, 2, 3))
     worst = apart.argsort(descending=True)[:SHOWN].tolist()
     rows = [[picture for pair in (body, split) for picture in _beside(pair, k)] for k in worst]

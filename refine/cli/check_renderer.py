@@ -18,6 +18,11 @@ if TYPE_CHECKING:
 YAW, ELEVATION = 28.0, 14.0  # degrees, of the camera
 GRADIENT_SIZE, LOSSES = 64, 8  # pixels, and how many losses are sloped
 TURN = 1e-3  # radians, of an arm
+COMPARED = "Gradients at {} px: by Mitsuba's projective integrator, with {}."
+NOT_COMPARED = (
+    "Gradients were not compared: no LLVM was found that Mitsuba's projective integrator runs with. The tests compare "
+    "them with finite differences of Mitsuba's renders."
+)
 
 
 @dataclass(frozen=True)
@@ -49,13 +54,10 @@ class CheckRenderer:
     """Of a built-in action, and of Mitsuba's rays."""
 
     def run(self) -> int:
-        import json
-        from dataclasses import asdict
         from math import ceil, sqrt
 
         from refine.cli.inputs import bar, body_of
-        from renderers.images import save_png
-        from renderers.judging import agreement, explanation, pair, sheet, steps, table
+        from renderers.judging import Judgement, compare, steps, tables, write
         from renderers.mesh import Mesh
         from renderers.outputs import refuse_existing, replacing_folder
         from renderers.raster_mitsuba import find_llvm
@@ -72,37 +74,26 @@ class CheckRenderer:
 
         with bar(len(meshes) * len(self.size) * steps(len(names)), "compare") as progress:
             plain, parts = (
-                [pair(vertices, mesh, self._views(vertices, side), samples, self.seed, progress) for side in self.size]
+                [
+                    compare(vertices, mesh, self._views(vertices, side), samples, self.seed, progress)
+                    for side in self.size
+                ]
                 for mesh in meshes
             )
         llvm = find_llvm()
-        slopes = self._slopes(body, rotations, root, samples) if llvm else []
-        agreements = [agreement(pair) for pair in (*plain, *parts)]
-        agrees = all(of.agrees for of in (*agreements, *slopes))
-
-        heading = f"{len(names)} poses of {self.motion or 'the built-in set'}, {self.camera} camera"
-        judged = (
-            f"Gradients at {GRADIENT_SIZE} px, by Mitsuba's projective integrator with {llvm}."
-            if llvm
-            else "Gradients were not compared: no LLVM was found that Mitsuba's projective integrator runs with. The "
-            "tests compare them with finite differences of Mitsuba's renders."
+        judgement = Judgement(
+            subject=f"{len(names)} poses of {self.motion or 'the built-in set'}, {self.camera} camera",
+            names=names,
+            samples=samples,
+            plain=plain,
+            parts=parts,
+            slopes=self._slopes(body, rotations, root, samples) if llvm else [],
+            gradients=COMPARED.format(GRADIENT_SIZE, llvm) if llvm else NOT_COMPARED,
         )
-        tables = table(agreements, slopes)
         with replacing_folder(self.out) as partial:
-            page = [f"# Silhouettes beside Mitsuba's: {heading}", tables, explanation(samples), judged]
-            (partial / "table.md").write_text("\n\n".join(page) + "\n")
-            numbers = {
-                "agrees": agrees,
-                "poses": heading,
-                "samples": samples,
-                "llvm": llvm and str(llvm),
-                "images": [asdict(of) | {"agrees": of.agrees} for of in agreements],
-                "gradients": [asdict(of) | {"agrees": of.agrees} for of in slopes],
-            }
-            (partial / "check.json").write_text(json.dumps(numbers, indent=1))
-            save_png(partial / "sheet.png", sheet(plain, parts, names, f"Ours beside Mitsuba's: {heading}"))
-        print(tables, judged, self.out / "sheet.png", sep="\n\n")
-        return 0 if agrees else 1
+            write(partial, judgement)
+        print(tables(judgement), judgement.gradients, self.out / "sheet.png", sep="\n\n")
+        return 0 if judgement.agrees else 1
 
     def _posed(self, body: "Body") -> "tuple[list[str], Tensor, Tensor]":
         """Names of the poses, their rotations [N 24 3 3] and roots [N 3]."""
@@ -138,7 +129,7 @@ class CheckRenderer:
         """Gradients along shifts in the image's x and y, scale, and a turn of one arm, from all sides."""
         import torch
 
-        from renderers.judging import OWN_LIMB_SLOPE, OWN_SLOPE, slopes
+        from renderers.judging import OWN_LIMB_SLOPE, OWN_SLOPE, compare_gradients
         from renderers.mesh import Mesh
         from renderers.rotations import axis_angle_to_matrix
         from renderers.skeleton import JOINTS
@@ -155,4 +146,4 @@ class CheckRenderer:
             "scale": (vertices - vertices.mean(1, keepdim=True), OWN_SLOPE),
             "left arm": ((body(turned, root).vertices - vertices) / TURN, OWN_LIMB_SLOPE),
         }
-        return slopes(vertices, motions, Mesh.build(body.faces), camera, samples, self.seed)
+        return compare_gradients(vertices, motions, Mesh.build(body.faces), camera, samples, self.seed)
