@@ -20,7 +20,7 @@ from renderers.silhouette import silhouette
 Style = Literal["shaded", "parts", "silhouette"]
 Draw = Callable[[Tensor, Tensor, Tensor, Camera], Tensor]  # as shade: vertices, faces, colours, camera -> pictures
 YAW, ELEVATION = 28.0, 14.0  # degrees; a little from the left and from above, so that depth is seen
-ACROSS = 66.0  # degrees between a path and the camera that sees a body come along it, from left to right
+ACROSS = 60.0  # degrees between a path and the camera that sees a body come along it, from left to right
 STRIDE = 0.25  # metres between neighbours of a strobe picture; those of a motion that travels less stand side by side
 BORDER = 0.08  # of the height, on each side of a picture with wide shadows
 FAINTEST = 0.22  # how much of its colour the first body of a strobe picture keeps

@@ -46,8 +46,8 @@ class Studio:
     samples: int = 100
     azimuth: float = 28.0
     altitude: float = 50.0
-    spread: float = 0.14
-    sky: float = 0.35
+    spread: float = 0.11
+    sky: float = 0.32
     bounce: float = 0.45
     fade: float = 1.0
     seed: int = 0
