@@ -15,13 +15,14 @@ from refine.attention import attention_map
 from refine.energies import energy_signal, joint_energies, part_energies
 from refine.ownership import Owned, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
-from refine.seeing import Clips, Pinning, Seen, draw, mesh_to_draw, pin, reach
+from refine.seeing import Clips, Pinning, Seen, draw, flesh, joints_to_draw, mesh_to_draw, pin, reach
 from renderers.body import Body
 from renderers.camera import Camera, frame
 from renderers.checks import UserError, check_shapes
 from renderers.silhouette import blur
-from renderers.skeleton import DRAWN_PART_NAMES, forward_kinematics
+from renderers.skeleton import DRAWN_PART_NAMES
 
+SPARE = 0.05  # metres that stay free about a motion; a picture is at least 2.3 metres wide
 CHUNK = 128  # bodies or pictures that are worked on at once: long clips must not need memory by their length
 
 
@@ -105,6 +106,7 @@ class Decoupler(nn.Module):
             problem = "a plain silhouette has no parts to own or to draw apart"
             raise UserError("Decoupler(config)", problem, 'use ownership="none" and another pinning')
         self.mesh = mesh_to_draw(body, config.pinned, channels)
+        self.register_buffer("flesh", flesh(body), persistent=False)
         self.size = (mae.config.size, mae.config.size)
 
     def forward(self, composed: Clips, i: Clips, j: Clips, frames: Tensor) -> Trace:
@@ -114,19 +116,21 @@ class Decoupler(nn.Module):
             composed, i, j: B clips of T frames each.
             frames: [B K] the frames that are drawn, of all three alike.
         """
-        cameras = self.cameras(i, j)
+        cameras = self.cameras(composed, i, j)
         return self.compare(self.see(composed, frames, cameras), self.references(i, j, frames, cameras))
 
-    def cameras(self, i: Clips, j: Clips) -> list[Camera]:
-        """One camera for each view. All bodies of a call share them; they see every usual pose, and i and j whole."""
-        points = [reach(self.body.rest_joints, self.config.pinned)]
-        if self.config.pinned == "sequence":
-            points += [
-                forward_kinematics(*pin(clips, "sequence"), self.body.rest_joints)[0].reshape(-1, 3).detach()
-                for clips in (i, j)
-            ]
-        points = torch.cat(points)
+    def cameras(self, *motions: Clips) -> list[Camera]:
+        """One camera for each view, for all bodies of a call: they see every usual pose, and ``motions`` whole."""
+        points = torch.cat([reach(self.body.rest_joints, self.config.pinned), *map(self.box, motions)])
         return [frame(points, self.size, yaw=math.radians(yaw), margin=0.0) for yaw in self.config.views]
+
+    @torch.no_grad()
+    def box(self, clips: Clips) -> Tensor:
+        """[8 3] metres: corners of an upright box about motions as drawn: joints, the flesh on them, and `SPARE`."""
+        rotations, root = (value.flatten(0, 1) for value in pin(clips, self.config.pinned))
+        joints, around = joints_to_draw(self.body, rotations, root, self.config.pinned), self.flesh[:, None] + SPARE
+        low, high = (joints - around).amin((0, 1)), (joints + around).amax((0, 1))
+        return torch.cartesian_prod(*torch.stack([low, high], dim=1))
 
     def see(self, clips: Clips, frames: Tensor, cameras: list[Camera]) -> Seen:
         """Draw the frames [B K] of motions in every view; differentiable in the motions."""

@@ -120,8 +120,8 @@ class Problem(NamedTuple):
 
     @classmethod
     def build(cls, composed: Motion, i: Motion, j: Motion, decoupler: Decoupler, config: RefinementConfig) -> "Problem":
-        clips = [Clips(clip.rotations[None], clip.root[None]) for clip in (i, j)]
-        cameras = decoupler.cameras(*clips)
+        whole, *clips = [Clips(clip.rotations[None], clip.root[None]) for clip in (composed, i, j)]
+        cameras = decoupler.cameras(whole, *clips)
         every = torch.arange(len(composed))[None]
         references = decoupler.references(*clips, every, cameras)
         joints = composed.joints(decoupler.body.rest_joints)

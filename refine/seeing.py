@@ -11,7 +11,7 @@ from renderers.camera import Camera
 from renderers.mesh import Mesh
 from renderers.rotations import heading, rotation_about
 from renderers.silhouette import silhouette
-from renderers.skeleton import DRAWN_PART_NAMES, JOINTS
+from renderers.skeleton import DRAWN_PART_NAMES, DRAWN_PARTS, JOINTS, forward_kinematics, part_of_joint
 
 Pinning = Literal["sequence", "frame", "body", "trunk"]
 """What is taken out of motions before they are drawn (protocol B.4 no. 24): the first frame's place and heading, as
@@ -20,6 +20,7 @@ that one action's arm can be compared though the trunk is the other's (the trunk
 
 SPINE = [JOINTS[name] for name in ("spine1", "spine2", "spine3")]
 TRUNK_CHANNELS = [DRAWN_PART_NAMES.index(name) for name in ("torso", "head")]
+LIMB_JOINTS = [part not in TRUNK_CHANNELS for part in part_of_joint(DRAWN_PARTS)]
 
 
 class Clips(NamedTuple):
@@ -64,8 +65,14 @@ def reach(rest_joints: Tensor, mode: Pinning) -> Tensor:
     height = float(rest_joints[:, 1].max() - rest_joints[:, 1].min())
     angle = torch.arange(16) * (2 * math.pi / 16)
     rim = torch.stack([angle.sin(), torch.zeros(16), angle.cos()], dim=1) * (0.77 * height)
-    ends = (-0.05, 1.49) if mode in ("sequence", "frame") else (-0.77, 0.77)
+    ends = (-0.12, 1.49) if mode in ("sequence", "frame") else (-0.77, 0.77)
     return torch.cat([rim + torch.tensor([0.0, end * height, 0.0]) for end in ends]).to(rest_joints)
+
+
+def flesh(body: Body) -> Tensor:
+    """[24] metres: how far the body reaches about each joint, of what is nearer to it than to any other, at rest."""
+    distances, nearest = torch.cdist(body.rest_vertices, body.rest_joints).min(1)
+    return torch.zeros(24).to(distances).scatter_reduce(0, nearest, distances, "amax")
 
 
 def mesh_to_draw(body: Body, mode: Pinning, channels: int) -> Mesh:
@@ -74,6 +81,15 @@ def mesh_to_draw(body: Body, mode: Pinning, channels: int) -> Mesh:
         return Mesh.build(body.faces, body.face_parts if channels > 1 else None)
     limb = ~torch.isin(body.face_parts, torch.tensor(TRUNK_CHANNELS).to(body.face_parts))
     return Mesh.build(body.faces + limb[:, None] * len(body.rest_vertices), body.face_parts)
+
+
+def joints_to_draw(body: Body, rotations: Tensor, root: Tensor, mode: Pinning) -> Tensor:
+    """[N 24 3] metres: where the joints are of what `draw` draws."""
+    joints = forward_kinematics(rotations, root, body.rest_joints)[0]
+    if mode == "trunk":
+        straight = forward_kinematics(straighten(rotations), root, body.rest_joints)[0]
+        joints = torch.where(torch.tensor(LIMB_JOINTS).to(joints.device)[:, None], straight, joints)
+    return joints
 
 
 def draw(body: Body, mesh: Mesh, rotations: Tensor, root: Tensor, cameras: list[Camera], mode: Pinning) -> Seen:

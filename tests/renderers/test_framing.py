@@ -9,8 +9,11 @@ from torch import Tensor
 
 from refine.composition import aligned
 from refine.coupling import couple
+from refine.decoupling import SPARE, Decoupler, DecouplingConfig
 from refine.formats.files import load_motion
+from refine.mae import MAE, MAEConfig
 from refine.motion import Motion, resample
+from refine.seeing import Clips, pin, straighten
 from renderers.body import Body, Posed
 from renderers.camera import Camera, frame
 from renderers.mesh import Mesh
@@ -90,3 +93,23 @@ def test_a_frame_holds_two_real_actions_and_their_composition(pairs):
         kind = ("weak", "pinhole")[number % 2]
         camera = frame(points, SIZE, yaw=0.02 * number, elevation=0.2, margin=0.07, kind=kind)
         assert spare(points, camera) > 0.07 - 1e-5, motions[0].source
+
+
+@torch.no_grad()
+@pytest.mark.parametrize(("pinned", "every"), [("trunk", 1), ("body", 6), ("frame", 6), ("sequence", 6)])
+def test_the_decoupler_s_cameras_hold_two_real_actions_and_their_composition(pinned, every, pairs):
+    mae = MAE(MAEConfig(channels=6, width=12, depth=1, heads=3, decoder_width=12, decoder_depth=1, decoder_heads=3))
+    decoupler = Decoupler(light_body(), mae, DecouplingConfig(pinned=pinned))
+    drawn = decoupler.mesh.faces.unique()
+    for motions in pairs[::every]:
+        clips = [Clips(motion.rotations[None], motion.root[None]) for motion in motions]
+        cameras = decoupler.cameras(*clips)
+        for clip in clips:
+            rotations, root = (value[0] for value in pin(clip, pinned))
+            points = light_body()(rotations, root).vertices
+            if pinned == "trunk":
+                points = torch.cat([points, light_body()(straighten(rotations), root).vertices], dim=1)[:, drawn]
+            for camera in cameras:
+                # As a part of what the picture spans. Skin that bends reaches a little farther than at rest.
+                margin = SPARE / 2 * camera.focal[0, 0].item() / camera.size[0]
+                assert spare(points, camera) > margin, motions[0].source
