@@ -20,7 +20,8 @@ from renderers.silhouette import silhouette
 Style = Literal["shaded", "parts", "silhouette"]
 Draw = Callable[[Tensor, Tensor, Tensor, Camera], Tensor]  # as shade: vertices, faces, colours, camera -> pictures
 YAW, ELEVATION = 28.0, 14.0  # degrees; a little from the left and from above, so that depth is seen
-ACROSS = 60.0  # degrees between a path and the camera that sees a body come along it, from left to right
+ACROSS = 60.0  # degrees at least between a path and the camera that sees a body come along it, from left to right
+NEARER = 2.5  # metres at most that it comes nearer on its way
 STRIDE = 0.25  # metres between neighbours of a strobe picture; those of a motion that travels less stand side by side
 BORDER = 0.08  # of the height, on each side of a picture with wide shadows
 FAINTEST = 0.22  # how much of its colour the first body of a strobe picture keeps
@@ -83,8 +84,7 @@ def strobe(
     path = root[:, [0, 2]]
     travels = len(path) > 1 and (path[1:] - path[:-1]).norm(dim=1).mean() > STRIDE
     if travels:
-        x, z = (path[-1] - path[0]).tolist()
-        yaw = math.degrees(math.atan2(x, z)) - ACROSS if yaw is None else yaw
+        yaw = _beside(path[-1] - path[0]) if yaw is None else yaw
         bodies = _posed(body, rotations, root)
         camera = _along(bodies, height, yaw, BORDER)
     else:
@@ -155,6 +155,13 @@ def _side_by_side(rows: Sequence[Tensor], yaw: float) -> list[Tensor]:
     aside = _aside(yaw)
     step = max(0.62, *(_clearance(row, aside) for row in rows))
     return [row + (torch.arange(len(row))[:, None, None] - (len(row) - 1) / 2) * step * aside for row in rows]
+
+
+def _beside(way: Tensor) -> float:
+    """The yaw in degrees of a camera that sees a way [2] (x, z) run to its right, and come somewhat nearer."""
+    length, (x, z) = float(way.norm()), way.tolist()
+    across = math.acos(min(math.cos(math.radians(ACROSS)), NEARER / max(length, 1e-6)))
+    return math.degrees(math.atan2(x, z) - across)
 
 
 def _aside(yaw: float) -> Tensor:
