@@ -95,6 +95,13 @@ def test_a_strobe_of_a_motion_in_place_stands_side_by_side(body):
     assert colourfulness(picture)[:, :60].amax() < 0.5 * colourfulness(beside)[:, :60].amax()
 
 
+def test_a_long_way_is_seen_from_aside_so_that_bodies_stay_large(body):
+    picture = strobe(sliding(body, 20.0), body, poses=3, height=100)
+    for left, right in columns(picture):
+        rows = (colourfulness(picture)[:, left : right + 1] > 0.1).any(1).nonzero()[:, 0]
+        assert rows[-1] - rows[0] > 40  # of the 84 inside the border; from 60 degrees at any length, 22
+
+
 @pytest.mark.parametrize("height", [32, 97])
 def test_a_strobe_is_as_high_as_asked_and_has_a_border(body, height):
     picture = strobe(sliding(body, 6.0), body, poses=4, height=height)
