@@ -1,7 +1,7 @@
 """The renderer: time, memory and error, how they grow, and its peers in the same run.
 
-    PYTHONPATH=. python benchmarks/renderer.py           (a quarter of an hour; writes results/renderer.json and .md)
-    PYTHONPATH=. python benchmarks/renderer.py --quick   (about a minute; writes to --out alone)
+    python benchmarks/renderer.py           (a quarter of an hour; writes results/renderer.json and .md)
+    python benchmarks/renderer.py --quick   (a minute or two; writes to --out alone)
 
 The subject: sixteen poses, each framed alone by a pinhole camera, of three closed bodies (`subjects.py`). One channel,
 float32, 4 subscanlines unless it says otherwise. Needs the extra ``bench``.
