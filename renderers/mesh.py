@@ -10,6 +10,8 @@ from torch import Tensor
 
 from renderers.checks import UserError, check_shapes
 
+LIMITS = {"faces": 2**26, "parts": 2**10}  # vertex and part numbers: an edge is named by two and one in 62 bits
+
 
 @dataclass(frozen=True)
 class Mesh:
@@ -34,12 +36,15 @@ class Mesh:
         There are at least ``channels`` of them, also where faces are missing.
 
         Raises:
-            UserError: for negative vertex or part numbers.
+            UserError: for numbers of vertices or parts that are not whole, negative, or beyond `LIMITS`.
         """
         parts = faces.new_zeros(len(faces)) if parts is None else parts
         check_shapes("Mesh.build", faces=(faces, "F 3"), parts=(parts, "F"))
-        if (faces < 0).any() or (parts < 0).any():
-            raise UserError("Mesh.build", "expected no negative vertex or part numbers", "check the mesh")
+        for name, numbers in (("faces", faces), ("parts", parts)):
+            if numbers.is_floating_point() or (numbers < 0).any() or (numbers.long() >= LIMITS[name]).any():
+                raise UserError(
+                    f"Mesh.build({name})", f"expected whole numbers, 0 to below {LIMITS[name]}", "check them"
+                )
         faces, parts = faces.long(), parts.long()
         vertices = int(faces.max()) + 1 if len(faces) else 0
 

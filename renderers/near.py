@@ -20,7 +20,7 @@ def clip(points: Tensor, mesh: Mesh, near: float) -> tuple[Tensor, Mesh]:
     """
     faces, before = mesh.faces, points[:, 2] >= near
     count = before[faces].sum(1)
-    if (count == 3).all():
+    if before.all():
         return points, mesh
     one, two = _turned(faces, before, count == 1), _turned(faces, ~before, count == 2)
 

@@ -57,7 +57,7 @@ def coverage(points: Tensor, mesh: Mesh, size: tuple[int, int], subscanlines: in
     it can be taken once (there is no second derivative).
 
     Args:
-        points: [N V 2] (x, y) in pixels from the top-left corner, finite, float32 or float64; anywhere, also outside.
+        points: [N V 2] (x, y) in pixels from the top-left corner, float32 or float64, below 1e18; also outside.
         size: (height, width).
         subscanlines: scans for each row and for each column of pixels.
 

@@ -61,8 +61,11 @@ def test_a_mesh_may_have_no_faces_and_more_channels_than_parts():
 @pytest.mark.parametrize(
     ("faces", "parts", "error", "words"),
     [
-        (-SQUARE, None, UserError, "no negative vertex or part numbers"),
-        (SQUARE, torch.tensor([0, -1]), UserError, "no negative vertex or part numbers"),
+        (-SQUARE, None, UserError, r"Mesh.build\(faces\): expected whole numbers, 0 to below"),
+        (SQUARE + 0.9, None, UserError, "whole numbers"),
+        (SQUARE + 2**40, None, UserError, "whole numbers"),
+        (SQUARE, torch.tensor([0, -1]), UserError, r"Mesh.build\(parts\): expected whole numbers"),
+        (SQUARE, torch.tensor([0, 2000]), UserError, "to below 1024"),
         (SQUARE, torch.tensor([0, 1, 2]), ShapeError, r"expected shape \[F\] with F=2, got \[3\]"),
         (SQUARE[0], None, ShapeError, r"expected shape \[F 3\]"),
     ],

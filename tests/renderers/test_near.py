@@ -133,6 +133,15 @@ def test_whole_frames_and_cut_ones_go_together_and_each_by_its_own_camera():
     assert torch.equal(moved[0], images[0])
 
 
+def test_an_unused_vertex_in_the_eye_takes_no_part_in_the_gradient():
+    corners = torch.tensor([[[0.0, 0.0, 3.0], [1.0, 0.0, 3.0], [0.0, 1.0, 3.0], [0.0, 0.0, 0.0]]], dtype=torch.float64)
+    size = torch.ones((), dtype=torch.float64, requires_grad=True)
+    image = silhouette(size * corners, Mesh.build(torch.tensor([[0, 1, 2]])), wide_camera())
+    assert image.sum() > 5
+    image[..., :, :20].sum().backward()
+    assert size.grad.isfinite()
+
+
 def test_without_clipping_what_lies_behind_would_be_drawn_upside_down():
     behind = torch.tensor([[[0.2, 0.3, -1.0], [0.6, 0.3, -1.0], [0.4, 0.6, -1.0]]], dtype=torch.float64)
     mesh, camera = Mesh.build(torch.tensor([[0, 1, 2]])), wide_camera()

@@ -161,5 +161,27 @@ def test_errors_name_what_does_not_fit(change, error, words):
     camera = frame(ball, (16, 16), kind="pinhole")[torch.tensor([0, 0])]
     with pytest.raises(error, match=words):
         silhouette(change(ball.repeat(2, 1, 1)), Mesh.build(faces), camera)
-    with pytest.raises(UserError, match="at least 1, got 0"):
-        silhouette(ball[None], Mesh.build(faces), camera, subscanlines=0)
+    for scans in (0, 4.0):
+        with pytest.raises(UserError, match=f"at least 1, got {scans}"):
+            silhouette(ball[None], Mesh.build(faces), camera, subscanlines=scans)
+    with pytest.raises(UserError, match="unknown name 'folds'; did you mean fold?"):
+        silhouette(ball[None], Mesh.build(faces), camera, backend="folds")
+
+
+@pytest.mark.parametrize("kind", ["pinhole", "weak"])
+def test_cameras_and_places_without_meaning_are_refused_rather_than_drawn_blank(kind):
+    ball, faces = sphere()
+    camera = frame(ball, (16, 16), kind=kind)
+    for change in ({"translation": camera.translation / 0}, {"focal": camera.focal * float("nan")}):
+        with pytest.raises(UserError, match="is not finite or beyond"):
+            silhouette(ball[None], Mesh.build(faces), replace(camera, **change))
+    with pytest.raises(UserError, match="is not finite or beyond 1e"):
+        silhouette(1e16 * ball[None], Mesh.build(faces), camera)
+
+
+def test_autocast_does_not_blur_the_projection():
+    vertices, plain, _ = posed(1)
+    camera = frame(vertices, (64, 64))
+    with torch.autocast("cpu", torch.bfloat16):
+        image = silhouette(vertices, plain, camera)
+    assert torch.equal(image, silhouette(vertices, plain, camera))
