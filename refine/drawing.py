@@ -11,6 +11,7 @@ from torch import Tensor
 from refine.motion import Motion, canonicalise
 from renderers.body import Body
 from renderers.camera import Camera, frame
+from renderers.checks import UserError
 from renderers.images import part_picture
 from renderers.mesh import Mesh
 from renderers.palette import BACKGROUND, rgb
@@ -24,6 +25,7 @@ ACROSS = 60.0  # degrees at least between a path and the camera that sees a body
 NEARER = 2.5  # metres at most that it comes nearer on its way
 STRIDE = 0.25  # metres between neighbours of a strobe picture; those of a motion that travels less stand side by side
 BORDER = 0.08  # of the height, on each side of a picture with wide shadows
+WIDEST = 16384  # pixels of a strobe
 FAINTEST = 0.22  # how much of its colour the first body of a strobe picture keeps
 
 
@@ -79,6 +81,9 @@ def strobe(
 
     A motion that stays in place is drawn as in a `strip`. Without a yaw, the path is seen from aside, from left to
     right.
+
+    Raises:
+        UserError: a path so long that the picture would be wider than `WIDEST`.
     """
     rotations, root = _moments(motion, poses)
     path = root[:, [0, 2]]
@@ -185,7 +190,11 @@ def _along(bodies: Tensor, height: int, yaw: float, border: float) -> Camera:
     height -= 2 * edge
     seen = frame(points, (height, height), *angles, kind="pinhole").project(points[None])[0]
     across, down = (seen.amax(0) - seen.amin(0)).tolist()
-    return _bordered(frame(points, (height, round(height * across / down)), *angles, margin=0.0, kind="pinhole"), edge)
+    width = round(height * across / down)
+    if width > WIDEST:
+        problem = f"its path would make a picture of {width} x {height} pixels, {WIDEST} is the widest"
+        raise UserError("strobe", problem, "crop the motion, ask for a smaller size, or look along the path")
+    return _bordered(frame(points, (height, width), *angles, margin=0.0, kind="pinhole"), edge)
 
 
 def _bordered(camera: Camera, edge: int) -> Camera:

@@ -114,6 +114,11 @@ def steps(poses: int) -> int:
     return 2 * -(-poses // AT_ONCE)
 
 
+def seeds(seed: int) -> tuple[int, int]:
+    """Of the two renders; no other below 2**31 has either of them."""
+    return 2 * seed % 2**32, (2 * seed + 1) % 2**32
+
+
 def compare(
     vertices: Tensor, mesh: Mesh, camera: Camera, samples: int, seed: int, progress: Callable[[], object]
 ) -> Pair:
@@ -121,7 +126,7 @@ def compare(
     with torch.no_grad():
         ours = silhouette(vertices, mesh, camera)
     renders = []
-    for again in (seed, seed ^ 1):
+    for again in seeds(seed):
         images = []
         for some in torch.arange(len(vertices)).split(AT_ONCE):
             images.append(raster_mitsuba.silhouette(vertices[some], mesh, camera[some], samples, again))
@@ -169,9 +174,7 @@ def compare_gradients(
     weights = weights / weights.std()
     moved = vertices.detach().requires_grad_()
     [ours] = torch.autograd.grad(silhouette(moved, mesh, camera), moved, weights)
-    first, second = (
-        raster_mitsuba.gradient(vertices, mesh, camera, weights, samples, again) for again in (seed, seed ^ 1)
-    )
+    first, second = (raster_mitsuba.gradient(vertices, mesh, camera, weights, samples, again) for again in seeds(seed))
     gradients = (ours, (first + second) / 2, (first - second) / 2)
     return [
         slope(name, own, *((pulls * motion).sum((1, 2)) for pulls in gradients))

@@ -15,7 +15,7 @@ import torch
 from torch import Tensor
 
 from renderers.camera import NEAR, Camera
-from renderers.checks import check_shapes
+from renderers.checks import UserError, check_shapes
 
 SCALAR, LLVM = "scalar_rgb", "llvm_ad_rgb"
 Crop = tuple[int, int, int, int]
@@ -58,10 +58,15 @@ def mesh(
         emitter: makes it a lamp, as ``mi.load_dict`` takes it.
         colours: [V 3] linear RGB.
         smooth: shade by normals averaged at the vertices, which follow the vertices when they move.
+
+    Raises:
+        UserError: shapes that do not fit, or faces that name vertices which are not there.
     """
     import mitsuba as mi
 
     check_shapes("mitsuba_scene.mesh", vertices=(vertices, "V 3"), faces=(faces, "F 3"))
+    if len(faces) and not (faces.min() >= 0 and faces.max() < len(vertices)):
+        raise UserError("mitsuba_scene.mesh", f"faces name other than the {len(vertices)} vertices", "check the mesh")
     properties = mi.Properties()
     for name, plugin in (("bsdf", bsdf), ("emitter", emitter)):
         if plugin is not None:

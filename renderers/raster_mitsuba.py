@@ -55,8 +55,15 @@ def silhouette(vertices: Tensor, mesh: Mesh, camera: Camera, samples: int = 256,
         seed: of the rays; another seed gives other errors.
 
     Returns:
-        [N C H W] in 0..1, whole multiples of ``1 / samples``.
+        [N C H W] in 0..1, whole multiples of one ray, of as many as Mitsuba rounds ``samples`` up to.
+
+    Raises:
+        UserError: shapes, vertex numbers, cameras, samples or seeds that do not fit, or values that are not finite.
     """
+    if samples < 1 or not 0 <= seed < 2**32:
+        raise UserError(
+            "raster_mitsuba", f"expected samples of 1 or more and a seed below 2**32, got {samples}, {seed}"
+        )
     frames, cameras = _frames(vertices, mesh, camera)
     images = torch.zeros(len(frames), mesh.channels, *camera.size)
     with using() as mi:

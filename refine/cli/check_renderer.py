@@ -81,8 +81,9 @@ class CheckRenderer:
                 for mesh in meshes
             )
         llvm = find_llvm()
+        count = "1 pose" if len(names) == 1 else f"{len(names)} poses"
         judgement = Judgement(
-            subject=f"{len(names)} poses of {self.motion or 'the built-in set'}, {self.camera} camera",
+            subject=f"{count} of {self.motion or 'the built-in set'}, {self.camera} camera",
             names=names,
             samples=samples,
             plain=plain,

@@ -3,7 +3,7 @@
 import pytest
 import torch
 
-from renderers.judging import OWN_LARGEST, OWN_MEAN, Pair, agreement, ring_means, slope
+from renderers.judging import OWN_LARGEST, OWN_MEAN, Pair, agreement, ring_means, seeds, slope
 
 
 def square_pair(wrong: float = 0.0, noise: float = 0.0) -> Pair:
@@ -50,3 +50,9 @@ def test_slopes_may_be_off_by_our_own_error_and_twice_the_noise():
     assert found.agrees
     assert not slope("x", 0.02, 1.03 * judge, judge, 0 * judge).agrees
     assert not slope("x", 0.02, -judge, judge, 0 * judge).agrees
+
+
+def test_no_two_seeds_share_a_render():
+    drawn = [seed for given in range(50) for seed in seeds(given)]
+    assert len(set(drawn)) == 100
+    assert all(0 <= seed < 2**32 for seed in seeds(2**32 - 1))

@@ -269,6 +269,11 @@ def test_errors_name_what_does_not_fit(change, words):
     camera = frame(ball, (16, 16))[torch.tensor([0, 0])]
     with pytest.raises(UserError, match=words):
         raster_mitsuba.silhouette(change(ball.repeat(2, 1, 1)), Mesh.build(faces), camera)
+    for samples, seed in ((0, 0), (4, -1)):
+        with pytest.raises(UserError, match=f"got {samples}, {seed}"):
+            raster_mitsuba.silhouette(ball[None], Mesh.build(faces), camera[:1], samples, seed)
+    with mitsuba_scene.using(), pytest.raises(UserError, match="faces name other than the 42 vertices"):
+        mitsuba_scene.mesh(ball, faces + 1)
     with pytest.raises(UserError, match=r"gradient\(cotangent\): expected shape \[N 1 16 16\] with N=2"):
         raster_mitsuba.gradient(ball.repeat(2, 1, 1), Mesh.build(faces), camera, torch.ones(2, 1, 16, 8))
 

@@ -16,6 +16,7 @@ from refine.drawing import BORDER, strip, strobe
 from refine.formats.files import save_motion
 from refine.motion import Motion
 from renderers.body import Body
+from renderers.checks import UserError
 from renderers.palette import BACKGROUND, PARTS, rgb
 from renderers.rotations import rotation_about
 from renderers.shade import shade
@@ -100,6 +101,11 @@ def test_a_long_way_is_seen_from_aside_so_that_bodies_stay_large(body):
     for left, right in columns(picture):
         rows = (colourfulness(picture)[:, left : right + 1] > 0.1).any(1).nonzero()[:, 0]
         assert rows[-1] - rows[0] > 40  # of the 84 inside the border; from 60 degrees at any length, 22
+
+
+def test_a_way_too_long_for_a_picture_is_refused(body):
+    with pytest.raises(UserError, match="16384 is the widest; crop the motion"):
+        strobe(sliding(body, 20_000.0), body, poses=4, height=360)
 
 
 @pytest.mark.parametrize("height", [32, 97])
