@@ -5,6 +5,7 @@ PyTorch3D's x to the left and y up; nvdiffrast takes clip coordinates, whose y w
 """
 
 import os
+from abc import ABC, abstractmethod
 from collections.abc import Callable
 from dataclasses import dataclass
 from functools import cached_property, partial
@@ -24,15 +25,15 @@ SIGMA = 1e-4  # PyTorch3D's tutorials, squared normalised device coordinates
 
 
 @dataclass
-class Renderer:
+class Renderer(ABC):
     """Faces [F 3] seen by N cameras; subclasses draw by autograd."""
 
     faces: Tensor
     camera: Camera
 
+    @abstractmethod
     def draw(self, vertices: Tensor) -> Tensor:
         """Vertices [N V 3], world -> silhouettes [N H W]."""
-        raise NotImplementedError
 
     def descend(self, vertices: Tensor, target: Tensor) -> Tensor:
         """The gradient [N V 3] of the sum of squared differences to ``target`` [N H W]."""

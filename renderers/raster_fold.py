@@ -38,7 +38,7 @@ class Outline(NamedTuple):
     """The M places where the lines of a scan enter or leave a silhouette, as stretches in up to two pixels."""
 
     row: Tensor  # [M] in the flattened [N C H] rows
-    column: Tensor  # [M] where the stretch begins, -1..W; the other pixel is the next one
+    column: Tensor  # [M] where the stretch begins, -2..W; the other pixel is the next one
     parts: Tensor  # [2 M] 0..1, how much of either pixel lies before the stretch
     shares: Tensor  # [2 M] 0..1, how much of the stretch lies in either pixel; what lies outside the image is lost
     step: Tensor  # [M] int32, 1 enters, -1 leaves

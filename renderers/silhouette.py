@@ -65,18 +65,18 @@ def silhouette(
 
 def _draw(vertices: Tensor, mesh: Mesh, camera: Camera, coverage: Callable[[Tensor, Mesh], Tensor]) -> Tensor:
     seen = camera.view(vertices)
-    _check_near("axes of the camera", seen)
+    _check_far("axes of the camera", seen)
     if camera.kind == "weak" or (seen[..., 2] >= NEAR).all():
-        return coverage(_check_near("image", camera.pixels(seen)), mesh)
+        return coverage(_check_far("image", camera.pixels(seen)), mesh)
     images = []
     for frame, points in enumerate(seen):
         points, clipped = clip(points, mesh, NEAR)
         own = camera if len(camera) == 1 else camera[frame : frame + 1]
-        images.append(coverage(_check_near("image", own.pixels(points[None])), clipped))
+        images.append(coverage(_check_far("image", own.pixels(points[None])), clipped))
     return torch.cat(images)
 
 
-def _check_near(where: str, points: Tensor) -> Tensor:
+def _check_far(where: str, points: Tensor) -> Tensor:
     if not (points.abs() < FAR).all():
         raise UserError("silhouette", f"in the {where}, a vertex is not finite or beyond {FAR:g}", "check the camera")
     return points
