@@ -185,3 +185,5 @@ def test_autocast_does_not_blur_the_projection():
     with torch.autocast("cpu", torch.bfloat16):
         image = silhouette(vertices, plain, camera)
     assert torch.equal(image, silhouette(vertices, plain, camera))
+    precise = silhouette(vertices.double(), plain, camera)
+    assert_images_close("autocast", image.double(), precise, largest=1e-3)
