@@ -1,4 +1,4 @@
-"""How far, how shaky, how skating: measures of a motion's joints, in metres and seconds."""
+"""How far, how shaky, how skating, how deep in the floor: measures of a motion's joints, in metres and seconds."""
 
 import torch
 from torch import Tensor
@@ -69,3 +69,41 @@ def jitter(joints: Tensor, fps: float) -> float:
     if len(joints) < 4:
         raise UserError("jitter", f"needs at least 4 frames, got {len(joints)}")
     return float(joints.diff(n=3, dim=0).norm(dim=-1).mean() * fps**3)
+
+
+def floor_penetration(joints: Tensor, floor: float | None = None) -> float:
+    """How far the lowest foot joint is below the floor, metres, on average over frames (0 where it is above).
+
+    Args:
+        joints: [T 24 3] metres.
+        floor: its height; without one, the median over frames of the lowest foot joint's height. A foot stands in most
+            frames of most actions, and the median is not drawn down by the very frames that are to be found, as the
+            minimum would be. Where both feet are in the air for half of the time it lies too high.
+    """
+    check_shapes("floor_penetration", joints=(joints, "T 24 3"))
+    lowest = joints[:, FEET, 1].double().amin(1)
+    level = lowest.quantile(0.5) if floor is None else floor
+    return float((level - lowest).clamp(min=0).mean())
+
+
+def nearest_true(joints: Tensor, references: Tensor, values: int = 2**24) -> Tensor:
+    """Mean of ``joint_errors`` to the nearest of many references: how near a motion is to any true one.
+
+    Args:
+        joints: [N T 24 3] metres.
+        references: [M T 24 3] metres, M at least 1.
+        values: coordinates that are held at once; only memory depends on it.
+
+    Returns:
+        [N] float64 metres, over frames and the 23 joints below the pelvis.
+    """
+    sizes = check_shapes("nearest_true", joints=(joints, "N T 24 3"), references=(references, "M T 24 3"))
+    if not sizes["M"]:
+        raise UserError("nearest_true", "there are no references")
+    joints, references = ((each - each[..., :1, :])[..., 1:, :].double() for each in (joints, references))
+    group = max(1, values // references[0].numel())
+    found = torch.empty(len(joints), dtype=torch.float64)
+    for n, clip in enumerate(joints):
+        parts = (references[start : start + group] for start in range(0, len(references), group))
+        found[n] = min(float((part - clip).norm(dim=-1).mean((-2, -1)).min()) for part in parts)
+    return found
