@@ -1,6 +1,7 @@
 """Evaluations as JSON, and as Markdown tables that say what their figures can and cannot tell."""
 
 import json
+import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field
 from pathlib import Path
@@ -59,15 +60,15 @@ METRICS = {
     "nearest_true": Metric("error to nearest true", "lower", "cm", 100),
     "foot_skate": Metric("foot skate", "lower", "m/s", 1, 3),
     "floor_penetration": Metric("floor penetration", "lower", "cm", 100),
-    "jitter": Metric("jitter", "real", "m/s³", 1, 0),
+    "jitter": Metric("jitter", "real", "m/s³", 1, 1),
 }
 
 CAUTION = (
     "FID-C and accuracy compare with compositions made by the same mask operator that makes the training pairs, by a "
     "recogniser trained on them. They reward that operator, and a method that composes better than it is punished. "
-    "Read them beside FID to true compositions, both-actions accuracy and the error to the nearest true composition, "
-    "which no operator made; the part-wise recognisers behind both-actions accuracy saw single actions only. FID is "
-    "biased upwards at small N: compare at equal N, and with real against real."
+    "Read them beside both-actions accuracy, whose part-wise recognisers saw single actions only, and, where a set has "
+    "true compositions, beside FID and error to those. FID is biased upwards at small N: compare at equal N, and with "
+    "real against real."
 )
 OVER_REPEATS = (
     "Repeats draw new motions from one trained model: sd and the 95 % interval (Student's t) tell how exactly this "
@@ -101,6 +102,12 @@ class Evaluation:
     agree in all but the model's."""
     provenance: dict[str, Any] = field(default_factory=dict)
     """Command, commit, hardware, seconds."""
+
+    def __post_init__(self):
+        for name, values in [*self.metrics.items(), *self.real.items()]:
+            if not values or not all(math.isfinite(value) for value in values):
+                what = f"a value is not finite ({values})" if values else "there are no values"
+                raise UserError(f"evaluation of {self.row}, seed {self.seed}", f"{name}: {what}")
 
     def to_json(self) -> dict:
         """Everything, with a summary of each measure in the units of the tables."""
@@ -180,7 +187,7 @@ def evaluation_table(evaluation: Evaluation) -> str:
     rows = []
     for name in in_order(evaluation.metrics):
         metric, found = metric_of(name), summarise_repeats(scaled(name, evaluation.metrics[name]))
-        real = mean(scaled(name, evaluation.real[name])) if evaluation.real.get(name) else None
+        real = mean(scaled(name, evaluation.real[name])) if name in evaluation.real else None
         rows.append(
             [
                 metric.head,
@@ -189,7 +196,7 @@ def evaluation_table(evaluation: Evaluation) -> str:
                 metric.print(found["mean"]),
                 metric.print(found["sd"]),
                 interval(metric, found["ci95"]),
-                metric.print(found["actor_pm"]),
+                NONE if found["actor_pm"] is None else f"{found['actor_pm']:.3g}",
                 metric.print(real),
             ]
         )
@@ -213,7 +220,7 @@ def comparison_table(evaluations: Sequence[Evaluation], metrics: Sequence[str] |
     """
     rows = by_row(evaluations)
     names = in_order(name for each in evaluations for name in each.metrics) if metrics is None else list(metrics)
-    columns = {name: {row: over_seeds(name, group) for row, group in rows.items()} for name in names}
+    columns = {name: {row: [*over_seeds(name, group).values()] for row, group in rows.items()} for name in names}
     winners = {name: best(metric_of(name), column) for name, column in columns.items()}
 
     def cell(name: str, row: str) -> str:
@@ -254,15 +261,15 @@ def contrast_table(
     for name in (row, against):
         if name not in rows:
             raise UserError("contrast_table", f"no evaluation of {name!r}", f"there are {', '.join(rows)}")
-    if paired and {each.seed for each in rows[row]} != {each.seed for each in rows[against]}:
-        raise UserError("contrast_table", f"{row} and {against} were not trained with the same seeds")
     shared = [name for name in in_order(rows[row][0].metrics) if metrics is None or name in metrics]
     body = []
     for name in shared:
         metric, ours, theirs = metric_of(name), over_seeds(name, rows[row]), over_seeds(name, rows[against])
         if not ours or not theirs:
             continue
-        found, ratio = compare(ours, theirs, paired), Metric("", decimals=3)
+        if paired and ours.keys() != theirs.keys():
+            raise UserError("contrast_table", f"{row} and {against} do not have {name} for the same seeds")
+        found, ratio = compare([*ours.values()], [*theirs.values()], paired), Metric("", decimals=3)
         body.append(
             [
                 metric.head,
@@ -311,9 +318,9 @@ def by_row(evaluations: Sequence[Evaluation]) -> dict[str, list[Evaluation]]:
     return {row: sorted(group, key=lambda each: each.seed) for row, group in rows.items()}
 
 
-def over_seeds(name: str, group: Sequence[Evaluation]) -> list[float]:
+def over_seeds(name: str, group: Sequence[Evaluation]) -> dict[int, float]:
     """A measure's mean over repeats, for each seed that has it, in the unit of the tables."""
-    return [mean(scaled(name, each.metrics[name])) for each in group if each.metrics.get(name)]
+    return {each.seed: mean(scaled(name, each.metrics[name])) for each in group if name in each.metrics}
 
 
 def best(metric: Metric, column: dict[str, list[float]]) -> str | None:
@@ -346,7 +353,7 @@ def published_table() -> str:
     for source, method in methods:
         on = [found[source, method, benchmark] for benchmark in sets]
         body.append([method, source, *(cell(name, getattr(each, name)) for each in on for name in columns)])
-    head = ["as published", "in", *(f"{METRICS[name].head}, {each}" for each in sets for name in columns)]
+    head = ["as published", "in", *(f"{each}: {METRICS[name].head}" for each in sets for name in columns)]
     doubts = [
         f"- {each.method} on {each.benchmark} ({each.table}): {each.doubt}."
         for each in published.PUBLISHED
