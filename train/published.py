@@ -8,8 +8,8 @@ from dataclasses import dataclass
 
 PLUS_MINUS = (
     "LFCA says neither how many repeats there were nor what ± means. Read as 1.96 standard errors of 20 repeats, the "
-    "accuracies of one model would differ by 10 to 14 points; read as ACTOR's 1.96 times the variance, by what chance "
-    "makes of 900 samples (1.5 to 1.7 points), which is therefore the likely meaning: our `actor_pm`."
+    "accuracies of one model would spread by 3.6 to 14.4 points (sd); read as ACTOR's 1.96 times the variance, by 0.9 "
+    "to 1.8, near the 1.3 to 2.0 that chance makes of 625 or 900 samples. The latter, our `actor_pm`, is likely meant."
 )
 
 
@@ -45,7 +45,7 @@ FITTED = "0 and 100 because the recogniser was trained on this very set"
 COPIED = "all eight figures are those of Ours (w/o DR) on the same set, so the row is probably a copy: no target"
 ONE_DEVIATION = (
     "better than Ours (w/o DR) by 3.0 of FID-C and 0.5 points of accuracy, about one standard deviation of a repeat, "
-    "with one training of each"
+    "and no spread over trainings is given"
 )
 
 UESTC, HUMANACT = "uestc-c", "humanact-c"
