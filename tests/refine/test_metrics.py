@@ -3,7 +3,17 @@
 import pytest
 import torch
 
-from refine.metrics import FEET, foot_skate, jitter, joint_errors, mean_joint_error, part_errors, planted_feet
+from refine.metrics import (
+    FEET,
+    floor_penetration,
+    foot_skate,
+    jitter,
+    joint_errors,
+    mean_joint_error,
+    nearest_true,
+    part_errors,
+    planted_feet,
+)
 from renderers.checks import UserError
 from renderers.skeleton import DRAWN_PARTS, JOINTS
 
@@ -74,3 +84,50 @@ def test_jitter_is_the_third_derivative():
     assert jitter(joints, 30.0) < 1e-6
     with pytest.raises(UserError, match="at least 4 frames, got 3"):
         jitter(joints[:3], 30.0)
+
+
+def standing(frames: int) -> torch.Tensor:
+    """[T 24 3] of a body at 1 m whose toes are on the floor at 0.2 m and whose ankles 8 cm above it."""
+    joints = torch.ones(frames, 24, 3)
+    joints[:, FEET[:2], 1], joints[:, FEET[2:], 1] = 0.28, 0.2
+    return joints
+
+
+def test_standing_and_jumping_do_not_reach_into_the_floor():
+    joints = standing(30)
+    assert floor_penetration(joints) == 0.0
+    joints[5:15, :, 1] += 0.3
+    assert floor_penetration(joints) == 0.0
+
+
+def test_penetration_is_the_mean_depth_of_the_lowest_foot():
+    joints = standing(30)
+    joints[10:13, JOINTS["left_foot"], 1] -= 0.05
+    assert floor_penetration(joints) == pytest.approx(0.05 * 3 / 30)
+    joints[10:13, JOINTS["right_foot"], 1] -= 0.02
+    assert floor_penetration(joints) == pytest.approx(0.05 * 3 / 30)
+    assert floor_penetration(joints - torch.tensor([0.0, 7.0, 0.0])) == pytest.approx(0.05 * 3 / 30, abs=1e-6)
+
+
+def test_penetration_of_a_known_floor():
+    joints = standing(10)
+    assert floor_penetration(joints, floor=0.3) == pytest.approx(0.1)
+    assert floor_penetration(joints, floor=0.1) == 0.0
+
+
+def test_nearest_true_is_the_least_mean_joint_error(joints, generator):
+    references = torch.rand(7, 30, 24, 3, generator=generator, dtype=torch.float64)
+    motions = torch.stack([joints, references[4] + 0.01 * joints, references[2] + torch.tensor([5.0, 0.0, 1.0])])
+    expected = [min(mean_joint_error(motion, reference) for reference in references) for motion in motions]
+    found = nearest_true(motions, references)
+    assert found.tolist() == pytest.approx(expected)
+    assert found[1] < 0.02 and found[2] < 1e-12
+    assert torch.equal(nearest_true(motions, references, values=1), found)
+    assert nearest_true(motions.float(), references.float()).dtype == torch.float64
+
+
+def test_nearest_true_needs_references_of_the_same_length(joints):
+    with pytest.raises(UserError, match="there are no references"):
+        nearest_true(joints[None], joints[None][:0])
+    with pytest.raises(UserError, match="with T=30"):
+        nearest_true(joints[None], joints[None, :20])
