@@ -105,8 +105,9 @@ class Evaluation:
 
     def __post_init__(self):
         for name, values in [*self.metrics.items(), *self.real.items()]:
-            if not values or not all(math.isfinite(value) for value in values):
-                what = f"a value is not finite ({values})" if values else "there are no values"
+            strange = [value for value in values if not math.isfinite(value)]
+            if strange or not values:
+                what = f"{len(strange)} of {len(values)} values are not finite" if strange else "there are no values"
                 raise UserError(f"evaluation of {self.row}, seed {self.seed}", f"{name}: {what}")
 
     def to_json(self) -> dict:
@@ -173,9 +174,9 @@ def in_order(names: Iterable[str]) -> list[str]:
 
 
 def table(head: Sequence[str], rows: Iterable[Sequence[str]]) -> str:
-    """A Markdown table; first columns are words, the others numbers."""
+    """A Markdown table; the first column is of words, the others of numbers."""
     lines = [head, ["---", *["---:"] * (len(head) - 1)], *rows]
-    return "\n".join("| " + " | ".join(line) + " |" for line in lines)
+    return "\n".join("| " + " | ".join(cell.replace("|", "\\|") for cell in line) + " |" for line in lines)
 
 
 def interval(metric: Metric, ends: Sequence[float] | None) -> str:
