@@ -102,10 +102,20 @@ def load_clips(path: str | Path) -> list[Motion]:
     kinds = "".join(arrays[key].dtype.kind for key in KEYS)
     if kinds != "ffifUU" or lengths.min(initial=1) < 1 or lengths.sum() != sizes["N"]:
         raise UserError(path, "is damaged (lengths or types do not fit)", "import the clips again")
-    rotations = matrix_from_6d(torch.from_numpy(arrays["six"])).split(lengths.tolist())
+    rotations = _rotations(torch.from_numpy(arrays["six"])).split(lengths.tolist())
     roots = torch.from_numpy(arrays["root"]).split(lengths.tolist())
     rest = zip(arrays["fps"].tolist(), arrays["labels"].tolist(), arrays["sources"].tolist(), strict=True)
     return [Motion(*clip, *about) for *clip, about in zip(rotations, roots, rest, strict=True)]
+
+
+def _rotations(six: Tensor) -> Tensor:
+    """[N 24 6] -> [N 24 3 3]. Rows that are orthonormal but for rounding stay as they are stored, so that what is read
+    has the very features that were written."""
+    rotations = matrix_from_6d(six)
+    rows = six.reshape(*six.shape[:-1], 2, 3)
+    sound = ((rotations[..., :2, :] - rows).abs() < 1e-5).all(-1).all(-1)[..., None, None]
+    rotations[..., :2, :] = torch.where(sound, rows, rotations[..., :2, :])
+    return rotations
 
 
 def _pattern(text: str | None) -> re.Pattern[str] | None:

@@ -46,6 +46,17 @@ def test_round_trip(tmp_path, clips):
     for ours, theirs in zip(clips, back, strict=True):
         torch.testing.assert_close(theirs.rotations, ours.rotations, atol=1e-6, rtol=0)
         assert torch.equal(theirs.root, ours.root)
+        assert torch.equal(theirs.six, ours.six)
+        identity = torch.eye(3).expand_as(theirs.rotations)
+        torch.testing.assert_close(theirs.rotations @ theirs.rotations.mT, identity, atol=1e-5, rtol=0)
+
+
+def test_rows_of_any_length_are_made_rotations(tmp_path, clips):
+    save_clips(tmp_path / "clips.npz", clips)
+    with np.load(tmp_path / "clips.npz") as arrays:
+        np.savez(tmp_path / "scaled.npz", **{**arrays, "six": 3 * arrays["six"]})
+    for ours, theirs in zip(clips, load_clips(tmp_path / "scaled.npz"), strict=True):
+        torch.testing.assert_close(theirs.rotations, ours.rotations, atol=1e-6, rtol=0)
 
 
 def test_the_file_needs_no_pickle(tmp_path, clips):
