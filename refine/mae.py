@@ -1,14 +1,20 @@
 """The masked autoencoder that inpaints what a picture of a single action should look like.
 
 A plain ViT on timm's blocks (He et al. 2022; protocol E). The mask is handed in and the loss lives elsewhere. Parameter
-names are those of the official checkpoints.
+names are those of the official checkpoints, which load as well.
 """
 
+import argparse
 import json
+import pickle
+import warnings
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
 from importlib import resources
 from pathlib import Path
+from typing import Literal
+from zipfile import is_zipfile
 
 import torch
 from safetensors import SafetensorError
@@ -17,7 +23,12 @@ from timm.models.vision_transformer import Block
 from torch import Tensor, nn
 
 from refine.patches import grid_of
-from renderers.checks import ShapeError, UserError, check_range, check_shapes
+from renderers.checks import ShapeError, UserError, check_known, check_range, check_shapes
+
+IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))  # mean and standard deviation of red, green, blue
+LARGEST = 12 * 2**30  # bytes of a checkpoint: the largest official network with the state of its optimiser has 8 GB
+OFFICIAL_HEADS = {768: 12, 1024: 16, 1280: 16}  # by width: the one size that the tensors do not tell
+WITH_DECODER = "give one with its decoder, such as mae_visualize_vit_large.pth"
 
 
 @dataclass(frozen=True)
@@ -36,9 +47,15 @@ class MAEConfig:
     decoder_width: int = 128
     decoder_depth: int = 2
     decoder_heads: int = 4
+    normalisation: Literal["none", "imagenet"] = "none"
+    """What the network itself reads and predicts: pictures in 0..1 as they are, or by the mean and deviation of
+    ImageNet's colours, as the official networks learned. Outside of it everything stays in 0..1."""
 
     def __post_init__(self):
-        check_range(self, 1, 4096, *vars(self))
+        check_range(self, 1, 4096, *(name for name in vars(self) if name != "normalisation"))
+        check_known("MAEConfig(normalisation)", self.normalisation, ("none", "imagenet"))
+        if self.normalisation == "imagenet" and self.channels != 3:
+            raise UserError("MAEConfig(normalisation)", f"ImageNet's colours have 3 channels, not {self.channels}")
         if self.size % self.patch:
             raise UserError("MAEConfig(patch)", f"a picture of {self.size} px has no whole patches of {self.patch} px")
         for name in ("", "decoder_"):
@@ -99,6 +116,13 @@ class MAE(nn.Module):
         nn.init.normal_(self.decoder_pred.weight, std=1e-3)  # start near an empty picture: most of it is background
         nn.init.normal_(self.cls_token, std=0.02)
         nn.init.normal_(self.mask_token, std=0.02)
+        if config.normalisation == "imagenet":
+            # Not in the file, and real even where the weights are made on the meta device to be loaded.
+            mean, std = (torch.tensor(values, device="cpu") for values in IMAGENET)
+            self.register_buffer("mean", mean, persistent=False)
+            self.register_buffer("std", std, persistent=False)
+            with torch.no_grad():
+                self.decoder_pred.bias.copy_((-mean / std).repeat(config.patch**2))
 
     def forward(self, images: Tensor, kept: Tensor) -> Tensor:
         """Predict all patches from the visible ones.
@@ -124,6 +148,8 @@ class MAE(nn.Module):
             raise ShapeError("MAE(kept)", f"rows keep {counts.min()} to {counts.max()} patches, expected equal numbers")
         # The order among visible tokens is irrelevant; ascending order puts them back by a masked scatter.
         visible = kept.nonzero()[:, 1].reshape(len(kept), -1)
+        if config.normalisation == "imagenet":
+            images = (images - self.mean[:, None, None]) / self.std[:, None, None]
         x = self.patch_embed(images) + self.pos_embed[:, 1:]
         x = x.gather(1, visible[..., None].expand(-1, -1, x.shape[-1]))
         cls = (self.cls_token + self.pos_embed[:, :1]).expand(len(x), -1, -1)
@@ -136,28 +162,132 @@ class MAE(nn.Module):
         x = torch.cat([x[:, :1], full], dim=1) + self.decoder_pos_embed
         for block in self.decoder_blocks:
             x = block(x)
-        return self.decoder_pred(self.decoder_norm(x))[:, 1:]
+        patches = self.decoder_pred(self.decoder_norm(x))[:, 1:]
+        if config.normalisation == "imagenet":  # the channel runs fastest in a patch
+            patches = (patches.unflatten(-1, (-1, config.channels)) * self.std + self.mean).flatten(-2)
+        return patches
 
 
 def load_mae(path: str | Path | None = None) -> MAE:
-    """A trained MAE, frozen: ``path`` is a ``.safetensors`` with its ``.json`` beside; none loads the shipped weights.
+    """A trained MAE, frozen; none loads the shipped weights.
+
+    Args:
+        path: a ``.safetensors`` of ``refine train mae`` with its ``.json`` beside, or a ``.pth`` in the layout of the
+            official repository (facebookresearch/mae), see ``load_official``.
 
     Raises:
-        UserError: missing or damaged file, or weights that do not fit the configuration beside them.
+        UserError: missing or damaged file, weights that do not fit the configuration beside them or are not finite,
+            an encoder without its decoder.
     """
     weights = Path(str(resources.files("refine") / "assets" / "mae.safetensors")) if path is None else Path(path)
-    described = weights.with_suffix(".json")
-    for file in (weights, described):
+    mae = load_official(weights) if weights.suffix in (".pth", ".pt") else load_described(weights)
+    for name, value in mae.state_dict().items():
+        if not value.isfinite().all():
+            raise UserError(weights, f"{name} holds values that are not finite", "get or train it again")
+    return mae.eval().requires_grad_(False)
+
+
+def load_described(weights: Path) -> MAE:
+    """An MAE from safetensors and the description beside it."""
+    description = weights.with_suffix(".json")
+    for file in (weights, description):
         if not file.is_file():
             raise UserError(
                 file, "no such file", "give the .safetensors that `refine train mae` wrote, its .json beside it"
             )
     try:
-        mae = MAE(MAEConfig(**json.loads(described.read_text())["config"]))
+        mae = MAE(MAEConfig(**json.loads(description.read_text())["config"]))
         mae.load_state_dict({name: value.float() for name, value in load_file(weights).items()})
     except (SafetensorError, json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(
-            weights, f"not the weights of an inpainting MAE ({reason})", "train one with `refine train mae`"
-        ) from error
-    return mae.eval().requires_grad_(False)
+        problem = f"not the weights of an inpainting MAE ({reason(error)})"
+        raise UserError(weights, problem, "train one with `refine train mae`") from error
+    return mae
+
+
+def load_official(weights: Path) -> MAE:
+    """An MAE from a checkpoint of the official repository.
+
+    Its own tables of positions are used: they are the ones that the weights were trained with. Files named ``*_full``
+    are of networks whose targets were standardised patch by patch (``norm_pix_loss``); nothing inside tells, so the
+    name is taken at its word, and a warning given.
+    """
+    tensors = read_official(weights)
+    config = official_config(weights, tensors)
+    with torch.device("meta"):
+        mae = MAE(config)
+    expected = mae.state_dict()
+    if wrong := sorted(expected.keys() ^ tensors.keys()):
+        some = ", ".join(wrong[:3]) + (", ..." if len(wrong) > 3 else "")
+        raise UserError(weights, f"{len(wrong)} tensors are missing or unknown: {some}", WITH_DECODER)
+    for name, value in expected.items():
+        if tensors[name].shape != value.shape:
+            found = f"{name} has the shape {list(tensors[name].shape)}, expected {list(value.shape)}"
+            raise UserError(weights, found, WITH_DECODER)
+    if weights.stem.endswith("_full"):
+        warnings.warn(f"{weights}: predicts patches standardised one by one, which are no pictures", stacklevel=3)
+    mae.load_state_dict({name: value.float() for name, value in tensors.items()}, assign=True)
+    return mae
+
+
+def read_official(weights: Path) -> dict[str, Tensor]:
+    """The network's tensors of a ``.pth``: those under ``"model"``, or the whole file if it is a plain state dict.
+
+    Nothing in the file is run: only tensors, plain values and the ``argparse.Namespace`` of the training command (of a
+    checkpoint to resume from) are read. Tensors stay in the file until they are used, where its format allows it.
+
+    Raises:
+        UserError: missing, too large, damaged, holding anything else, or without a decoder.
+    """
+    if not weights.is_file():
+        raise UserError(weights, "no such file", "give a checkpoint of the official MAE, or weights of your own")
+    if weights.stat().st_size > LARGEST:
+        raise UserError(weights, f"has more than {LARGEST / 2**30:.0f} GB, as no MAE does", "give another file")
+    try:
+        with torch.serialization.safe_globals([argparse.Namespace]):
+            found = torch.load(weights, map_location="cpu", weights_only=True, mmap=is_zipfile(weights))
+    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
+        raise UserError(weights, f"no checkpoint that can be read safely ({reason(error)})", WITH_DECODER) from error
+    tensors = found.get("model", found) if isinstance(found, Mapping) else None
+    if not isinstance(tensors, Mapping) or not all(isinstance(value, Tensor) for value in tensors.values()):
+        raise UserError(weights, "holds no network's tensors, by themselves or under 'model'", WITH_DECODER)
+    if "patch_embed.proj.weight" in tensors and "decoder_pred.weight" not in tensors:
+        raise UserError(weights, "is an encoder without its decoder, and cannot inpaint", WITH_DECODER)
+    return dict(tensors)
+
+
+def official_config(weights: Path, tensors: dict[str, Tensor]) -> MAEConfig:
+    """The sizes of a network in the official layout, read from its tensors' shapes.
+
+    Heads have 64 channels (but 80 in the largest encoder) and 32 in the decoder.
+
+    Raises:
+        UserError: it is no such layout, or not one of square colour pictures.
+    """
+    try:
+        width, channels, patch, _ = tensors["patch_embed.proj.weight"].shape
+        if channels != 3:
+            raise ValueError(f"it reads pictures of {channels} channels, not of red, green and blue")
+        depth, decoder_depth = (
+            len({name.split(".")[1] for name in tensors if name.startswith(f"{blocks}.")})
+            for blocks in ("blocks", "decoder_blocks")
+        )
+        decoder_width = tensors["decoder_embed.weight"].shape[0]
+        return MAEConfig(
+            size=round((tensors["pos_embed"].shape[1] - 1) ** 0.5) * patch,
+            patch=patch,
+            channels=channels,
+            width=width,
+            depth=depth,
+            heads=OFFICIAL_HEADS.get(width, max(1, width // 64)),
+            decoder_width=decoder_width,
+            decoder_depth=decoder_depth,
+            decoder_heads=max(1, decoder_width // 32),
+            normalisation="imagenet",
+        )
+    except (KeyError, ValueError, IndexError, TypeError, UserError) as error:
+        raise UserError(weights, f"is not laid out as an official MAE ({reason(error)})", WITH_DECODER) from error
+
+
+def reason(error: Exception) -> str:
+    """The first line of an error, or its kind where it says nothing."""
+    return next(iter(str(error).splitlines()), "") or type(error).__name__
