@@ -1,6 +1,5 @@
 """What the named benchmarks are made of: their actions, their pairs, which clips, and how these are split."""
 
-from collections.abc import Callable
 from dataclasses import replace
 
 import torch
@@ -8,7 +7,7 @@ from torch import Tensor
 
 from refine.motion import Motion
 from refine.synthetic import draw, perform, perform_together
-from train.benchmarks import Material
+from train.building import Material
 
 FRAMES = 60
 FPS = 30.0
