@@ -1,8 +1,8 @@
-"""``refine data import``: a folder of clips as one packed file."""
+"""``refine data``: a folder of clips as one packed file, and benchmarks."""
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
@@ -53,3 +53,87 @@ class ImportData:
         for label, count in sorted(counts.items()):
             print(f"{count:5d}  {label}")
         print(f"{self.out}  {len(imported.motions)} clips, {sum(map(len, imported.motions)):,} frames")
+
+
+@dataclass(frozen=True)
+class BuildBenchmark:
+    """Build a frozen set of single actions and of their compositions, with a manifest of files, hashes and windows.
+
+    synth-c needs nothing: ten built-in actions, whose compositions are also performed as true ones. bn-c and bn1-c are
+    made of Bandai-Namco's data sets 2 and 1 (a folder of their .bvh files, or what `refine data import` packed),
+    humanact-c and uestc-c of ACTOR's packages (humanact12poses.pkl, the folder uestc), custom of any labelled clips.
+    The same name, source and seed give the same bytes.
+
+    Example: refine data benchmark synth-c --out synth-c
+    """
+
+    name: Positional[Literal["synth-c", "bn-c", "bn1-c", "humanact-c", "uestc-c", "custom"]]
+    """Which set."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """Folder to write."""
+    source: Path | None = None
+    """The clips; none for synth-c."""
+    lower: tuple[str, ...] = ()
+    """For custom: labels of the legs' actions."""
+    upper: tuple[str, ...] = ()
+    """For custom: labels of the actions that go with each of them."""
+    per_action: int = 5
+    """For custom: clips of each action that are tested; every pair is composed of each with each."""
+    force: bool = False
+    """Replace the folder, with everything in it, if it is there."""
+    seed: int = 0
+    """Of the built-in performances, of the split and of the windows."""
+
+    def run(self) -> None:
+        from functools import partial
+
+        from tqdm import tqdm
+
+        from refine.cli.inputs import body_of, say
+        from renderers.outputs import refuse_existing
+        from train.building import build_benchmark
+        from train.recipes import material_of
+
+        refuse_existing(self.out, self.force, folder=True)
+        rest_joints = body_of(None).rest_joints
+        progress = partial(tqdm, disable=None, leave=False)
+        material = material_of(
+            self.name,
+            rest_joints,
+            self.source,
+            self.seed,
+            self.lower,
+            self.upper,
+            self.per_action,
+            partial(progress, desc="read"),
+            lambda error: say(f"refine: left out {error}"),
+        )
+        composing = partial(progress, desc="compose")
+        benchmark = build_benchmark(self.out, material, rest_joints, self.seed, self.command(), progress=composing)
+        manifest = benchmark.manifest
+        for name, file in manifest["files"].items():
+            print(f"{self.out / name}  {file['clips']:,} clips, {file['frames']:,} frames")
+        short = ", ".join(f"{count} {split}" for split, count in manifest["shorter_than_window"].items() if count)
+        if short:
+            print(
+                f"shorter than {benchmark.frames} frames, and still in their last pose from there: {short} clips, in "
+                f"{manifest['padded_compositions']:,} compositions"
+            )
+        for reason, count in manifest["rejected"].items():
+            if count:
+                print(f"rejected as {reason}: {count:,} compositions")
+        pairs = len(benchmark.pairs)
+        print(
+            f"{self.out}  {len(manifest['compositions']):,} compositions of {pairs} pairs, hash {benchmark.hash[:12]}"
+        )
+
+    def command(self) -> str:
+        """What builds the same set again, wherever this one lies."""
+        import shlex
+
+        words = ["refine", "data", "benchmark", self.name]
+        if self.source:
+            words += ["--source", str(self.source)]
+        if self.name == "custom":
+            words += ["--lower", *self.lower, "--upper", *self.upper, "--per-action", str(self.per_action)]
+        return shlex.join([*words, "--seed", str(self.seed), "--out", self.name])

@@ -9,7 +9,7 @@ from tyro.extras import SubcommandApp
 
 from refine.cli.check_renderer import CheckRenderer
 from refine.cli.compose import Compose
-from refine.cli.data import ImportData
+from refine.cli.data import BuildBenchmark, ImportData
 from refine.cli.demo import Demo
 from refine.cli.generate import Generate
 from refine.cli.inspect import Inspect
@@ -24,6 +24,7 @@ def verbs() -> SubcommandApp:
     """Every verb's flags. Their modules are light: what a verb works with it imports when it runs."""
     app, data, train = SubcommandApp(), SubcommandApp(), SubcommandApp()
     data.command(ImportData, name="import")
+    data.command(BuildBenchmark, name="benchmark")
     train.command(TrainMAE, name="mae")
     train.command(TrainGenerator, name="generator")
     app.command(Demo, name="demo")
