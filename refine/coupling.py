@@ -12,6 +12,8 @@ from renderers.checks import UserError, check_shapes
 from renderers.rotations import matrix_from_6d, matrix_to_6d
 from renderers.skeleton import JOINTS, PARENTS, forward_kinematics
 
+LambdaLaw = Literal["gaussian", "uniform", "half"]
+
 EPSILON = 1e-8
 HIPS = [JOINTS["left_hip"], JOINTS["right_hip"]]  # each has the weight of its leg
 
@@ -41,9 +43,14 @@ class Coupling(NamedTuple):
     energies_j: Tensor  # [24]
 
 
-def sample_lam(count: int, generator: torch.Generator, uniform: bool = False) -> Tensor:
-    """[count] mixing weights: N(0.5, 0.1) clipped to 0..1, or U(0, 1) (protocol B.4 nos. 3 and 13)."""
-    if uniform:
+def sample_lam(count: int, generator: torch.Generator, law: LambdaLaw = "gaussian") -> Tensor:
+    """[count] mixing weights: N(0.5, 0.1) clipped to 0..1, U(0, 1), or always a half.
+
+    LFCA calls 0.1 a variance and a standard deviation; as a variance one draw in nine would leave 0..1.
+    """
+    if law == "half":
+        return torch.full((count,), 0.5)
+    if law == "uniform":
         return torch.rand(count, generator=generator)
     return (0.5 + 0.1 * torch.randn(count, generator=generator)).clamp(0, 1)
 

@@ -1,58 +1,84 @@
-"""The generator: ACTOR's transformer CVAE with soft labels (protocol B.1), as LFCA trains it on compositions (B.3).
+"""The generator: ACTOR's transformer CVAE with soft labels, as LFCA trains it on compositions.
 
 A label is a row of weights over the classes: a composition of i and j is ``lam * e_i + (1 - lam) * e_j``. The weights
 multiply into all three label tables; a one-hot row is exactly ACTOR's hard label.
 """
 
+import math
 from collections.abc import Sequence
-from dataclasses import dataclass
-from typing import NamedTuple
+from dataclasses import asdict, dataclass
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
 
 from refine.motion import Motion, from_features
-from renderers.checks import UserError, check_known, check_shapes
+from renderers.checks import UserError, check_known, check_range, check_shapes
 from renderers.skeleton import JOINT_NAMES, forward_kinematics
 
 ROWS, FEATURES = len(JOINT_NAMES) + 1, 6
 
 
-@dataclass(frozen=True)
-class GeneratorConfig:
-    """Everything needed to build the network again and to read its output.
+@dataclass(frozen=True, kw_only=True)
+class NetworkConfig:
+    """The network's size; encoder and decoder are alike. The defaults are LFCA's."""
 
-    Attributes:
-        classes: names of the sub-actions, in the order of the label tables.
-        fps: frame rate of the motions it is trained on, hence of those it makes.
-        latent, feedforward, heads, layers, dropout: of encoder and decoder alike.
-    """
-
-    classes: tuple[str, ...]
-    fps: float = 30.0
     latent: int = 256
+    """Width of the latent and of every token."""
     feedforward: int = 1024
     heads: int = 4
     layers: int = 8
+    """Of the encoder, and as many of the decoder."""
     dropout: float = 0.1
+    memory: Literal["sum", "concat"] = "sum"
+    """What the decoder looks at: the latent plus the label's bias as one token (ACTOR's final model), or each as a
+    token of its own."""
 
     def __post_init__(self):
-        if not self.classes:
-            raise UserError("GeneratorConfig(classes)", "there is no sub-action", "name at least one")
+        check_range(self, 1, math.inf, "latent", "feedforward", "heads", "layers")
+        check_range(self, 0, 0.99, "dropout")
         if self.latent % self.heads or self.latent % 2:
             raise UserError(
-                "GeneratorConfig(latent)",
+                f"{type(self).__name__}(latent)",
                 f"{self.latent} is not even and divisible by {self.heads} heads",
                 "choose a multiple of both",
             )
 
+
+PAPER = NetworkConfig()
+SMALL = NetworkConfig(latent=128, feedforward=512, layers=3, dropout=0.0)
+TINY = NetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0)
+
+
+@dataclass(frozen=True)
+class GeneratorConfig(NetworkConfig):
+    """Everything needed to build the network again and to read its output."""
+
+    classes: tuple[str, ...]
+    """Names of the sub-actions, in the order of the label tables."""
+    fps: float = 30.0
+    """Frame rate of the motions it is trained on, hence of those it makes."""
+
+    def __post_init__(self):
+        super().__post_init__()
+        if not self.classes:
+            raise UserError("GeneratorConfig(classes)", "there is no sub-action", "name at least one")
+
+    @staticmethod
+    def of(network: NetworkConfig, classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
+        return GeneratorConfig(classes, fps, **asdict(network))
+
     @staticmethod
     def paper(classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
-        return GeneratorConfig(classes, fps)
+        return GeneratorConfig.of(PAPER, classes, fps)
+
+    @staticmethod
+    def small(classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
+        return GeneratorConfig.of(SMALL, classes, fps)
 
     @staticmethod
     def tiny(classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
-        return GeneratorConfig(classes, fps, latent=128, feedforward=256, layers=2, dropout=0.0)
+        return GeneratorConfig.of(TINY, classes, fps)
 
 
 class Reconstruction(NamedTuple):
@@ -97,8 +123,8 @@ class Generator(nn.Module):
             weights: [B C] label weights, each row summing to 1.
             valid: [B T] True = a real frame.
         """
-        tokens = torch.stack([weights @ self.mean_tokens, weights @ self.variance_tokens], dim=1)
-        sequence = torch.cat([tokens, self.read(features.flatten(2))], dim=1)
+        tokens = torch.stack([mix(weights, self.mean_tokens), mix(weights, self.variance_tokens)], dim=1)
+        sequence = torch.cat([tokens, self.read(features.flatten(2)).to(tokens.dtype)], dim=1)
         sequence = self.dropout(sequence + positions(sequence.shape[1], sequence.shape[2]).to(sequence))
         hidden = torch.cat([torch.zeros_like(valid[:, :2]), ~valid], dim=1)
         encoded = self.encoder(sequence, src_key_padding_mask=hidden)
@@ -107,23 +133,38 @@ class Generator(nn.Module):
     def decode(self, latent: Tensor, weights: Tensor, valid: Tensor) -> Tensor:
         """Features [B T 25 6] from latent [B D], label weights [B C] and valid [B T]; padded frames are zero."""
         frames = valid.shape[1]
-        memory = (latent + weights @ self.decoder_biases)[:, None]
+        bias = mix(weights, self.decoder_biases)
+        memory = torch.stack([latent, bias] if self.config.memory == "concat" else [latent + bias], dim=1)
         queries = self.dropout(positions(frames, latent.shape[1]).to(latent).expand(len(latent), -1, -1))
         decoded = self.write(self.decoder(queries, memory, tgt_key_padding_mask=~valid))
         return decoded.unflatten(-1, (ROWS, FEATURES)) * valid[:, :, None, None]
 
-    def forward(self, features: Tensor, weights: Tensor, valid: Tensor, generator: torch.Generator) -> Reconstruction:
-        """Encode, draw the latent by reparameterisation, decode. Shapes as in ``encode``."""
+    def forward(self, features: Tensor, weights: Tensor, valid: Tensor, noise: Tensor) -> Reconstruction:
+        """Encode, draw the latent by reparameterisation, decode.
+
+        Under autocast the products are rounded; labels, posterior, latent and the results are not.
+
+        Args:
+            features, weights, valid: as in ``encode``.
+            noise: [B D] standard normal.
+        """
         check_shapes(
             "Generator",
-            {"C": len(self.config.classes)},
+            {"C": len(self.config.classes), "D": self.config.latent},
             features=(features, "B T 25 6"),
             weights=(weights, "B C"),
             valid=(valid, "B T"),
+            noise=(noise, "B D"),
         )
-        mean, log_variance = self.encode(features, weights, valid)
-        latent = mean + (log_variance / 2).exp() * draw_normal(mean, generator)
-        return Reconstruction(self.decode(latent, weights, valid), mean, log_variance)
+        mean, log_variance = (value.to(features.dtype) for value in self.encode(features, weights, valid))
+        latent = mean + (log_variance / 2).exp() * noise
+        return Reconstruction(self.decode(latent, weights, valid).to(features.dtype), mean, log_variance)
+
+
+def mix(weights: Tensor, table: Tensor) -> Tensor:
+    """Label weights [B C] times a table [C D]; never rounded, or a lambda would move by up to 1/256."""
+    with torch.autocast(table.device.type, enabled=False):
+        return weights @ table
 
 
 def draw_normal(like: Tensor, generator: torch.Generator) -> Tensor:
@@ -151,7 +192,7 @@ def generate(generator: Generator, weights: Tensor, frames: int, random: torch.G
 def stand(rotations: Tensor, root: Tensor, rest_joints: Tensor) -> tuple[Tensor, Tensor]:
     """Set clips on the floor: the lowest joint over all frames stands as high as the lowest joint of the rest pose.
 
-    Features hold the root only relative to its first frame (protocol A.4), so its height has to come from elsewhere.
+    Features hold the root only relative to its first frame, so its height has to come from elsewhere.
 
     Args:
         rotations: [B T 24 3 3]; root: [B T 3] metres; rest_joints: [24 3] metres.

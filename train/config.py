@@ -7,9 +7,10 @@ from typing import Literal
 
 from refine.coupling import CouplingConfig
 from refine.decoupling import DecouplingConfig
+from refine.generator import SMALL, TINY, NetworkConfig
 from refine.mae import MAEConfig
+from refine.seeing import check_drawn
 from renderers.checks import UserError, check_range
-from renderers.skeleton import DRAWN_PARTS
 from train.data import DataConfig
 from train.loop import LoopConfig
 from train.pictures import PictureConfig
@@ -42,30 +43,30 @@ class MAETraining:
 
     def __post_init__(self):
         check_range(self, 1, math.inf, "batch", "measured")
-        if self.network.channels not in (1, len(DRAWN_PARTS)):
-            problem = f"bodies are drawn in 1 or {len(DRAWN_PARTS)} channels, not {self.network.channels}"
-            raise UserError("MAEConfig(channels)", problem)
-        if self.network.channels == 1 and self.pictures.pinned == "trunk":
-            problem = "a plain silhouette cannot show limbs on a straight trunk"
-            raise UserError("MAETraining", problem, 'use another PictureConfig(pinned), for example "body"')
+        check_drawn(self.network.channels, self.pictures.pinned)
 
 
 @dataclass(frozen=True)
 class GeneratorTraining:
-    """Train the generator on pseudo-compositions of pairs (protocol B.3)."""
+    """Train the generator on pseudo-compositions of pairs, as LFCA does."""
 
     out: Path = Path("runs/generator")
     """Run folder."""
     mae: Path | None = None
     """Weights of the MAE that the decoupling loss asks; none takes those that come with the package."""
     data: DataConfig = field(default_factory=DataConfig)
-    size: Literal["tiny", "paper"] = "paper"
-    """Of the network, see ``GeneratorConfig``."""
+    network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: GeneratorLoss = field(default_factory=GeneratorLoss)
     coupling: CouplingConfig = field(default_factory=CouplingConfig)
     decoupling: DecouplingConfig = field(default_factory=DecouplingConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
     batch: int = 32
+    """Pairs of a step, over all processes and parts."""
+    accumulate: int = 1
+    """Parts in which each process takes its share of a batch, one after the other: the same step in less memory. Only
+    dropout, if there is any, falls otherwise."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of the network's products; losses, bodies and pictures are float32."""
     measured: int = 128
     """Held-out pairs that are measured at a checkpoint."""
     device: str = "cpu"
@@ -74,9 +75,10 @@ class GeneratorTraining:
     """Go on with the run in ``out``."""
 
     def __post_init__(self):
-        check_range(self, 1, math.inf, "batch", "measured")
-        if self.loss.decoupling_frames > self.data.frames:
-            problem = f"{self.loss.decoupling_frames} of {self.data.frames} frames cannot be drawn"
+        check_range(self, 1, math.inf, "batch", "accumulate", "measured")
+        frames = self.data.frames or self.loss.decoupling_frames
+        if self.loss.decoupling_frames > frames:
+            problem = f"{self.loss.decoupling_frames} of {frames} frames cannot be drawn"
             raise UserError("GeneratorLoss(decoupling_frames)", problem)
 
 
@@ -129,19 +131,37 @@ GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
         "A small network for trying things out: minutes on one core.",
         GeneratorTraining(
             data=DataConfig(synthetic_clips=6),
-            size="tiny",
+            network=TINY,
             loss=GeneratorLoss(decoupling_clips=2, decoupling_frames=1),
             loop=LoopConfig(steps=600, learning_rate=1e-3, warmup=20, clip_gradients=1.0, save_every=200),
             measured=64,
         ),
     ),
+    "small": (
+        "A benchmark's few actions: under an hour on two cores.",
+        GeneratorTraining(
+            network=SMALL,
+            loss=GeneratorLoss(decoupling_clips=4, decoupling_frames=1),
+            loop=LoopConfig(
+                steps=6000,
+                learning_rate=1e-3,
+                warmup=100,
+                schedule="cosine",
+                clip_gradients=1.0,
+                log_every=10,
+                save_every=500,
+            ),
+            precision="bfloat16",
+        ),
+    ),
     "paper": (
-        "LFCA's network, batch and rates (protocol B.3), for graphics cards.",
+        "LFCA's network, batch and rates, for graphics cards.",
         GeneratorTraining(
             loss=GeneratorLoss(decoupling_clips=64),
-            # 1500 epochs of the 14,400 ordered pairs of 120 clips, 800 at a time (protocol B.4 no. 16).
+            # 1500 epochs of the 14,400 ordered pairs of 120 clips, 800 at a time.
             loop=LoopConfig(steps=27_000, log_every=10, save_every=1000),
             batch=800,
+            precision="bfloat16",
             measured=800,
             device="cuda",
         ),

@@ -1,8 +1,13 @@
 """The training program of the generator."""
 
+import json
+import sys
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
+from torch import Tensor
 
 from refine.decoupling import Decoupler
 from refine.generator import Generator, GeneratorConfig
@@ -11,53 +16,152 @@ from renderers.body import Body
 from renderers.checks import UserError
 from train.checkpoints import hash_motions, provenance, read_weights
 from train.config import GeneratorTraining
-from train.data import Pairs, draw_pairs, group, load_clips_for, pair_labels, split
-from train.loop import check_device, fit, open_run, seed_of
-from train.steps import generator_step
+from train.data import ClipStore, Draw, draw_batch, index_pairs, open_source, pair_labels, split
+from train.loop import check_device, check_loop, fit, open_run, seed_of
+from train.processes import Processes, together
+from train.steps import Noise, Share, draw_noise, generator_step
 
-SIZES = {"tiny": GeneratorConfig.tiny, "paper": GeneratorConfig.paper}
+MEASURED = 3  # seed of what is drawn to measure with
 
 
 def train_generator(config: GeneratorTraining) -> Path:
     """Run the whole program and return the path of the best weights, which ``load_generator`` reads.
 
+    Started by ``torchrun`` it is one run on several processes.
+
     Raises:
-        UserError: see ``open_run``, ``load_clips_for``, ``load_mae`` and ``fit``.
+        UserError: see ``open_run``, ``open_source``, ``load_mae`` and ``fit``.
     """
-    check_device(config.device)
-    body = Body.free("light").to(config.device)
-    motions = load_clips_for(config.data, body.rest_joints.cpu())
-    train, test = (group(clips) for clips in split(motions, config.data.held_out, config.data.seed))
-    classes = tuple(train)
-    pairs = pair_labels(config.data, classes)
-    decoupler = (
-        Decoupler(body, load_mae(config.mae).to(config.device), config.decoupling) if config.loss.decoupling else None
-    )
-    open_run(config.out, config, config.resume)
-    record = {
-        "provenance": provenance(config.loop.seed, hash_motions(motions)),
-        "data": {"source": config.data.source, "clips": sum(map(len, train.values())), "pairs": len(pairs)},
-        "loss": config.loss,
-    }
-    with torch.random.fork_rng():
-        torch.manual_seed(seed_of(config.loop.seed))
-        generator = Generator(SIZES[config.size](classes, config.data.fps)).to(config.device)
-    held_out = draw_pairs(test, pairs, config.measured, config.data, torch.Generator().manual_seed(2))
+    with together(config.device) as (processes, device):
+        check_device(device)
+        check_loop(config.loop)
+        return Training(config, processes, device).run()
 
-    def losses(batch: Pairs, random: torch.Generator) -> dict[str, torch.Tensor]:
-        batch = Pairs(*(value.to(config.device) for value in batch))
-        return generator_step(batch, generator, body.rest_joints, decoupler, config.loss, config.coupling, random)
 
-    return fit(
-        generator,
-        lambda _, random: losses(draw_pairs(train, pairs, config.batch, config.data, random), random),
-        config.loop,
-        config.out,
-        "generator",
-        record,
-        lambda: {name: float(value) for name, value in losses(held_out, torch.Generator().manual_seed(3)).items()},
-        config.resume,
-    )
+class Training:
+    """One process's part of a run."""
+
+    def __init__(self, config: GeneratorTraining, processes: Processes, device: str):
+        body = Body.free("light")
+        source = open_source(config.data, body.rest_joints)
+        self.config = config = replace(config, data=source.config)
+        self.processes, self.device, self.source, self.body = processes, device, source, body.to(device)
+        self.shards = config.accumulate * processes.count
+        if self.shards > config.batch:
+            raise UserError("--batch", f"{config.batch} pairs cannot be cut in {self.shards}", "accumulate less")
+        labels = pair_labels(source)
+        learned, unseen = split(source.clips, config.data.held_out, config.data.seed)
+        self.learned, self.unseen = ClipStore.build(learned), ClipStore.build(unseen)
+        self.pairs = index_pairs(self.learned, labels)
+        mae = load_mae(config.mae).to(device) if config.loss.decoupling else None
+        self.decoupler = Decoupler(self.body, mae, config.decoupling) if mae else None
+        with torch.random.fork_rng():
+            torch.manual_seed(seed_of(config.loop.seed))
+            network = GeneratorConfig.of(config.network, self.learned.classes, config.data.fps)
+            self.generator = Generator(network).to(device)
+        self.record = {
+            "provenance": provenance(config.loop.seed, hash_motions(source.clips)),
+            "data": {
+                "source": config.data.source,
+                "benchmark": source.hash,
+                "clips": len(learned),
+                "short_clips": self.learned.short(config.data.frames),
+                "pairs": len(labels),
+            },
+            "loss": config.loss,
+            "processes": processes.count,
+        }
+        self.learned, self.unseen = self.learned.to(device), self.unseen.to(device)
+
+    def run(self) -> Path:
+        config = self.config
+        with self.processes.agreeing():
+            if self.processes.first:
+                open_run(config.out, config, config.resume)
+                refuse_other_clips(config.out / "last.json", self.record["provenance"]["data_sha256"])
+                self.say_short()
+        return fit(
+            self.generator,
+            self.losses,
+            config.loop,
+            config.out,
+            "generator",
+            self.record,
+            self.measure,
+            config.resume,
+            self.processes,
+            self.describe,
+        )
+
+    def say_short(self):
+        short, frames = self.record["data"]["short_clips"], self.config.data.frames
+        if short:
+            many = f"{short} of {len(self.learned.sources)} clips"
+            print(f"refine: {many} are shorter than {frames} frames and stand still at their ends", file=sys.stderr)
+
+    def draw(self, store: ClipStore, count: int, random: torch.Generator) -> tuple[Draw, Noise]:
+        """All that is random about a step but dropout: the same on every process and device."""
+        data, loss = self.config.data, self.config.loss
+        drawn = draw_batch(store, self.pairs, count, data, random)
+        return drawn, draw_noise(count, self.config.network.latent, data.frames, loss, random)
+
+    def losses(self, step: int, random: torch.Generator) -> Iterator[dict[str, Tensor]]:
+        """The terms of this process's shards: item n of a batch is in shard n modulo their number."""
+        drawn, noise = self.draw(self.learned, self.config.batch, random)
+        for index in range(self.processes.rank, self.shards, self.processes.count):
+            some = slice(index, None, self.shards)
+            yield self.terms(self.learned, drawn, noise, some, self.config.loss.decoupling_at(step))
+
+    def terms(self, store: ClipStore, drawn: Draw, noise: Noise, some: slice, decoupling: float) -> dict[str, Tensor]:
+        """What some items of a draw contribute to its terms."""
+        real = store.real_frames(drawn, self.config.data)
+        share = Share(
+            float(real[some].sum() / real.sum()),
+            len(real[some]) / len(real),
+            len(noise.chances[some]) / len(noise.chances),
+        )
+        return generator_step(
+            store.pairs(Draw(*(values[some] for values in drawn)), self.config.data),
+            Noise(*(values[some].to(self.device) for values in noise)),
+            self.generator,
+            self.body,
+            self.decoupler,
+            self.config.loss,
+            self.config.coupling,
+            decoupling,
+            share,
+            self.config.precision == "bfloat16",
+        )
+
+    def measure(self) -> dict[str, float]:
+        """The terms on pairs of held-out clips, always the same ones, at the full weights."""
+        drawn, noise = self.draw(self.unseen, self.config.measured, torch.Generator().manual_seed(MEASURED))
+        sums: dict[str, float] = {}
+        for index in range(min(self.shards, self.config.measured)):
+            some = slice(index, None, self.shards)
+            terms = self.terms(self.unseen, drawn, noise, some, self.config.loss.decoupling)
+            sums = {name: sums.get(name, 0.0) + float(value) for name, value in terms.items()}
+        return sums
+
+    @torch.no_grad()
+    def describe(self, step: int) -> str:
+        """The pairs of a step whose losses are not finite alone, or its first pairs where that is so of none."""
+        random = torch.Generator().manual_seed(seed_of(self.config.loop.seed, step, 0))
+        drawn, noise = self.draw(self.learned, self.config.batch, random)
+        self.generator.eval()
+        bad = []
+        for item in range(self.config.batch):
+            terms = self.terms(self.learned, drawn, noise, slice(item, item + 1), self.config.loss.decoupling_at(step))
+            bad += [] if terms["total"].isfinite() else [item]
+        bad = bad or list(range(self.config.batch))
+        named = "; ".join(self.learned.describe(drawn, item) for item in bad[:3])
+        return f"{named} and {len(bad) - 3} more" if len(bad) > 3 else named
+
+
+def refuse_other_clips(last: Path, data_hash: str):
+    """Refuse to go on with a run whose clips have changed meanwhile."""
+    if last.exists() and json.loads(last.read_text())["provenance"]["data_sha256"] != data_hash:
+        raise UserError(last, "is of a run on other clips", "give the same, or choose another folder with --out")
 
 
 def load_generator(path: str | Path) -> Generator:

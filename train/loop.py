@@ -3,13 +3,18 @@
 A run folder holds ``config.json``, ``log.jsonl`` (one line a logged step), ``curves.png``, ``last`` and ``best``
 weights and ``state.safetensors`` to go on from. The randomness of a step is a function of the seed and the step's
 number alone, so a run that was killed and resumed gives the very losses of an unbroken one.
+
+A step is taken in shards, one after the other and on several processes: each yields its parts of the terms, whose sums
+are those of the whole batch, and so are the sums of their gradients.
 """
 
 import json
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import ExitStack, closing, contextmanager
 from dataclasses import dataclass
+from importlib.util import find_spec
 from pathlib import Path
 from typing import Any, Literal
 
@@ -21,12 +26,18 @@ from tqdm import tqdm
 from renderers.checks import UserError, check_range
 from train.checkpoints import load_state, replace_file, save_state, save_weights, to_json
 from train.curves import draw_curves
+from train.processes import Processes
 
-Losses = Callable[[int, torch.Generator], dict[str, Tensor]]
-"""(step, random) -> scalar terms; ``"total"`` is the one that is minimised."""
+Losses = Callable[[int, torch.Generator], Iterator[dict[str, Tensor]]]
+"""(step, random) -> scalar terms of each of this process's shards; ``"total"`` is the one that is minimised."""
 
-MAY_CHANGE = {"steps", "log_every", "save_every", "device", "out", "resume"}
+MAY_CHANGE = {"steps", "log_every", "save_every", "device", "out", "resume", "accumulate", "tensorboard"}
 """Names of values that a resumed run may be given anew."""
+
+RULE = "numpy.random.SeedSequence((seed, step, 0)) seeds what a step draws, (seed, step, 1, rank) its dropout"
+"""The sampler's state, beside the seed and the step."""
+
+ALONE = Processes()
 
 
 @dataclass(frozen=True)
@@ -47,6 +58,8 @@ class LoopConfig:
     save_every: int = 500
     """Steps between checkpoints; each also measures the held-out clips and draws the curves."""
     seed: int = 10
+    tensorboard: bool = False
+    """Write the terms for TensorBoard too, into the run folder."""
 
     def __post_init__(self):
         check_range(self, 1, math.inf, "steps", "log_every", "save_every")
@@ -78,15 +91,19 @@ def fit(
     record: dict[str, Any],
     measure: Callable[[], dict[str, float]],
     resume: bool = False,
+    processes: Processes = ALONE,
+    describe: Callable[[int], str] | None = None,
 ) -> Path:
     """Train ``model`` with AdamW and return the path of its best weights.
 
     Args:
-        losses: the terms of one step, drawn with the generator it is given.
+        losses: the terms of one step, drawn with the generator it is given, shard by shard.
         folder: exists; filled as the module says.
         kind, record: written with the weights, see ``checkpoints.save_weights``.
         measure: figures on held-out data; the model is in evaluation mode. Best = lowest ``"total"``.
         resume: go on from ``folder / "state.safetensors"``.
+        processes: those that share the work; the first measures and writes.
+        describe: words for the batch of a step, for when its losses are not finite.
 
     Raises:
         UserError: a loss term or the gradient is not finite (the last checkpoint stays as it is), or the state that
@@ -95,17 +112,25 @@ def fit(
     optimiser = torch.optim.AdamW(
         model.parameters(), config.learning_rate, betas=config.betas, weight_decay=config.weight_decay
     )
-    state, log = folder / "state.safetensors", folder / "log.jsonl"
+    state = folder / "state.safetensors"
     # A run that was killed before its first checkpoint has no weights yet and goes on from its first step.
     begun = resume and (folder / "last.safetensors").exists()
     progress = load_state(state, model, optimiser) if begun else {"step": 0, "best": math.inf}
-    keep_rows(log, progress["step"])
     random, started, first = torch.Generator(), time.monotonic(), progress["step"]
-    with torch.random.fork_rng(), log.open("a") as lines:
-        for step in tqdm(range(first, config.steps), initial=first, total=config.steps, desc=kind, disable=None):
+    processes.wait()  # or the first could write over what another has yet to read
+    shown = None if processes.first else True
+    with torch.random.fork_rng(), journal(folder, first, config, processes) as write:
+        for step in tqdm(range(first, config.steps), initial=first, total=config.steps, desc=kind, disable=shown):
             random.manual_seed(seed_of(config.seed, step, 0))
-            torch.manual_seed(seed_of(config.seed, step, 1))
-            row = {"step": step, **take_step(model, optimiser, losses, step, random, config, state)}
+            torch.manual_seed(seed_of(config.seed, step, 1, processes.rank))
+            row = {"step": step, **take_step(model, optimiser, losses, step, random, config, processes)}
+            if not all(map(math.isfinite, row.values())):
+                with processes.agreeing():
+                    if processes.first:
+                        refuse_row(row, state, describe)
+            optimiser.step()
+            if not processes.first:
+                continue
             row["seconds"] = round(time.monotonic() - started, 3)
             done = step + 1
             due = done % config.save_every == 0 or done == config.steps
@@ -114,16 +139,16 @@ def fit(
                 with torch.no_grad():
                     row["held_out"] = measure()
             if due or step % config.log_every == 0:
-                lines.write(json.dumps(row) + "\n")
-                lines.flush()
+                write(row)
             if due:
                 described = {"step": done, "held_out": row["held_out"], **record}
                 save_weights(folder / "last.safetensors", kind, model, described)
                 if row["held_out"]["total"] < progress["best"]:
                     progress["best"] = row["held_out"]["total"]
                     save_weights(folder / "best.safetensors", kind, model, described)
-                save_state(state, model, optimiser, progress | {"step": done})
-                draw_curves(log, folder / "curves.png")
+                sampler = {"seed": config.seed, "step": done, "rule": RULE}
+                save_state(state, model, optimiser, progress | {"step": done, "sampler": sampler})
+                draw_curves(folder / "log.jsonl", folder / "curves.png")
     return folder / "best.safetensors"
 
 
@@ -134,24 +159,64 @@ def take_step(
     step: int,
     random: torch.Generator,
     config: LoopConfig,
-    state: Path,
+    processes: Processes = ALONE,
 ) -> dict[str, float]:
-    """One update; the terms and the gradient's norm as numbers."""
+    """The gradients of one update; the terms of the whole batch and the gradient's norm as numbers."""
     model.train()
     for group in optimiser.param_groups:
         group["lr"] = learning_rate(step, config)
-    terms = losses(step, random)
     optimiser.zero_grad()
-    terms["total"].backward()
+    sums: dict[str, Tensor] = {}
+    for terms in losses(step, random):
+        terms["total"].backward()
+        for name, value in terms.items():
+            sums[name] = sums.get(name, 0.0) + value.detach()
+    processes.sum_gradients(model)
+    values = torch.stack(list(sums.values()))
+    processes.sum([values])
     norm = nn.utils.clip_grad_norm_(model.parameters(), config.clip_gradients or math.inf)
-    row = {name: float(value.detach()) for name, value in terms.items()} | {"gradient": float(norm)}
-    for name, value in row.items():
-        if not math.isfinite(value):
-            remedy = "lower --loop.learning-rate or set --loop.clip-gradients"
-            kept = f"the last good checkpoint is {state}" if state.exists() else "there is no checkpoint yet"
-            raise UserError(f"step {step}", f"the term {name!r} became {value}", f"{kept}; {remedy}")
-    optimiser.step()
-    return row
+    return dict(zip(sums, values.tolist(), strict=True)) | {"gradient": float(norm)}
+
+
+def refuse_row(row: dict[str, float], state: Path, describe: Callable[[int], str] | None):
+    """Say which term of a step is not finite, on what, and where the last good checkpoint is."""
+    name, value = next((name, value) for name, value in row.items() if not math.isfinite(value))
+    on = f" on {describe(row['step'])}" if describe else ""
+    kept = f"the last good checkpoint is {state}" if state.exists() else "there is no checkpoint yet"
+    remedy = f"{kept}; lower --loop.learning-rate or set --loop.clip-gradients"
+    raise UserError(f"step {row['step']}", f"the term {name!r} became {value}{on}", remedy)
+
+
+@contextmanager
+def journal(
+    folder: Path, first: int, config: LoopConfig, processes: Processes
+) -> Iterator[Callable[[dict[str, Any]], None]]:
+    """A function that writes a row to ``log.jsonl`` and, if it is asked for, to TensorBoard; only the first process
+    may call it."""
+    if not processes.first:
+        yield lambda row: None
+        return
+    keep_rows(folder / "log.jsonl", first)
+    with ExitStack() as opened:
+        lines = opened.enter_context((folder / "log.jsonl").open("a"))
+        board = opened.enter_context(closing(open_board(folder, first))) if config.tensorboard else None
+
+        def write(row: dict[str, Any]):
+            lines.write(json.dumps(row) + "\n")
+            lines.flush()
+            if board:
+                for name, value in leaves(row).items():
+                    if name not in ("step", "seconds"):
+                        board.add_scalar(name.replace(".", "/"), value, row["step"])
+
+        yield write
+
+
+def open_board(folder: Path, first: int) -> Any:
+    """TensorBoard's writer; what a killed run wrote from step ``first`` on is hidden."""
+    from torch.utils.tensorboard import SummaryWriter
+
+    return SummaryWriter(folder / "tensorboard", purge_step=first or None)
 
 
 def keep_rows(log: Path, step: int):
@@ -159,6 +224,13 @@ def keep_rows(log: Path, step: int):
     rows = log.read_text().splitlines(keepends=True) if log.exists() else []
     kept = [row for row in rows if row.endswith("\n") and json.loads(row)["step"] < step]
     replace_file(log, "".join(kept).encode())
+
+
+def check_loop(config: LoopConfig):
+    """Refuse, before anything is written, what is not installed."""
+    if config.tensorboard and find_spec("tensorboard") is None:
+        remedy = "pip install 'refine-motion[tensorboard]', or leave it out"
+        raise UserError("--loop.tensorboard", "TensorBoard is not installed", remedy)
 
 
 def check_device(device: str):

@@ -1,6 +1,8 @@
 """The training program of the inpainting MAE, and how well it inpaints."""
 
 import json
+from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import torch
@@ -13,7 +15,7 @@ from renderers.body import Body
 from renderers.checks import UserError
 from train.checkpoints import hash_motions, provenance
 from train.config import MAETraining
-from train.data import load_clips_for, split
+from train.data import open_source, split
 from train.loop import check_device, fit, open_run, seed_of
 from train.pictures import Pictures, Poses, draw_pictures, poses_of
 from train.steps import inpainting_terms, mae_step
@@ -23,12 +25,13 @@ def train_mae(config: MAETraining) -> Path:
     """Run the whole program and return the path of the best weights, which ``refine.mae.load_mae`` reads.
 
     Raises:
-        UserError: see ``open_run``, ``load_clips_for`` and ``fit``.
+        UserError: see ``open_run``, ``open_source`` and ``fit``.
     """
     check_device(config.device)
     body = Body.free("light").to(config.device)
     rest_joints = body.rest_joints.cpu()
-    motions = load_clips_for(config.data, rest_joints)
+    source = open_source(config.data, rest_joints)
+    config, motions = replace(config, data=source.config), source.clips
     train, test = split(motions, config.data.held_out, config.data.seed)
     mae, start = first_weights(config)
     mae = mae.to(config.device)
@@ -48,10 +51,11 @@ def train_mae(config: MAETraining) -> Path:
     held_out = draw(unseen, config.measured, torch.Generator().manual_seed(2))
     half = torch.autocast(torch.device(config.device).type, torch.bfloat16, config.precision == "bfloat16")
 
-    def losses(_: int, random: torch.Generator) -> dict[str, Tensor]:
+    def losses(_: int, random: torch.Generator) -> Iterator[dict[str, Tensor]]:
         pictures = draw(poses, config.batch, random)
         with half:
-            return mae_step(pictures, mae, config.body_weight)
+            terms = mae_step(pictures, mae, config.body_weight)
+        yield terms
 
     return fit(
         mae,
@@ -86,9 +90,7 @@ def drawing(body: Body, config: MAETraining):
     mesh = mesh_to_draw(body, config.pictures.pinned, config.network.channels)
 
     def draw(poses: Poses, count: int, random: torch.Generator) -> Pictures:
-        return draw_pictures(
-            poses, count, body, mesh, config.network.size, config.network.patch, config.pictures, random
-        )
+        return draw_pictures(poses, count, body, mesh, config.network, config.pictures, random)
 
     return draw
 

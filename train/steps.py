@@ -2,7 +2,7 @@
 
 import math
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor
@@ -14,6 +14,7 @@ from refine.mae import MAE
 from refine.motion import from_features
 from refine.patches import patchify
 from refine.seeing import Clips
+from renderers.body import Body
 from renderers.checks import check_range
 from renderers.skeleton import forward_kinematics
 from train.data import Pairs
@@ -22,12 +23,14 @@ from train.pictures import Pictures
 
 @dataclass(frozen=True)
 class GeneratorLoss:
-    """Weights of the generator's terms (LFCA: 1 : 1e-5 : 1e-2 with the batch's sum as KL; protocol B.4 no. 17)."""
+    """Weights of the generator's terms (LFCA: 1 : 1e-5 : 1e-2, with the batch's sum as KL in ACTOR's code)."""
 
     joints: float = 1.0
-    """Of the error of joint positions ("rcxyz" with joints for vertices); 0 leaves it out."""
+    """Of the error of positions (ACTOR's "rcxyz"); 0 leaves it out."""
+    positions: Literal["joints", "vertices"] = "joints"
+    """Positions of what: the joints, or as in ACTOR the body's vertices, at many times the cost."""
     kl: float = 2e-4
-    """Of the KL term; ``kl_reduction="sum"`` goes with 1e-5."""
+    """Of the KL term: ACTOR's 1e-5 at its batch of 20; ``kl_reduction="sum"`` goes with 1e-5."""
     kl_reduction: Literal["mean", "sum"] = "mean"
     """Over the batch; over the latent it is always the sum."""
     decoupling: float = 1e-2
@@ -35,11 +38,48 @@ class GeneratorLoss:
     decoupling_clips: int = 8
     """Clips of a batch that are drawn."""
     decoupling_frames: int = 2
-    """Random frames of each that are drawn: an estimate of the mean over all (protocol B.4 no. 25)."""
+    """Random frames of each that are drawn: an estimate of the mean over all."""
+    decoupling_start: int = 0
+    """The first step with the decoupling loss."""
+    decoupling_ramp: int = 0
+    """Steps over which its weight then rises from zero."""
+    decoupling_every: int = 1
+    """It is taken at every so-manieth step, with as many times the weight: the same on average, at less cost."""
 
     def __post_init__(self):
-        check_range(self, 0, math.inf, "joints", "kl", "decoupling")
-        check_range(self, 1, math.inf, "decoupling_clips", "decoupling_frames")
+        check_range(self, 0, math.inf, "joints", "kl", "decoupling", "decoupling_start", "decoupling_ramp")
+        check_range(self, 1, math.inf, "decoupling_clips", "decoupling_frames", "decoupling_every")
+
+    def decoupling_at(self, step: int) -> float:
+        """Weight of the decoupling loss at a step, counted from 0; 0 where it is not taken."""
+        done = step - self.decoupling_start
+        if done < 0 or done % self.decoupling_every:
+            return 0.0
+        return self.decoupling * self.decoupling_every * min(1.0, (done + 1) / max(1, self.decoupling_ramp))
+
+
+class Noise(NamedTuple):
+    """What a step draws beside its batch; on the CPU, for the whole batch at once."""
+
+    latent: Tensor  # [B D] standard normal
+    chances: Tensor  # [S T] uniform: of the S clips that are looked at, the frames with the largest ones
+
+
+class Share(NamedTuple):
+    """What a shard is of its batch, as fractions. Its terms count by them: summed over shards they are the batch's."""
+
+    frames: float = 1.0  # of the real frames
+    pairs: float = 1.0
+    drawn: float = 1.0  # of the clips that the decoupling loss looks at
+
+
+WHOLE = Share()
+
+
+def draw_noise(count: int, latent: int, frames: int, loss: GeneratorLoss, random: torch.Generator) -> Noise:
+    """``Noise`` for a batch of ``count`` pairs of ``frames`` frames."""
+    normal = torch.randn(count, latent, generator=random)
+    return Noise(normal, torch.rand(min(count, loss.decoupling_clips), frames, generator=random))
 
 
 def kl_divergence(mean: Tensor, log_variance: Tensor) -> Tensor:
@@ -52,53 +92,73 @@ def mean_over_frames(errors: Tensor, valid: Tensor) -> Tensor:
     return errors.flatten(2).mean(-1)[valid].mean()
 
 
-def joint_errors(features: Tensor, target: Tensor, rest_joints: Tensor) -> Tensor:
-    """Squared differences of joints [B T 24 3] in metres squared, both bodies at the origin (protocol B.2)."""
-    joints = []
+def position_errors(features: Tensor, target: Tensor, body: Body, of: str = "joints") -> Tensor:
+    """Squared differences of joints [B T 24 3] or vertices [B T V 3] in metres squared, both bodies at the origin, as
+    ACTOR compares them: where a body is counts in its features alone."""
+    positions = []
     for rotations, root in (from_features(features), from_features(target)):
-        joints.append(forward_kinematics(rotations, torch.zeros_like(root), rest_joints)[0])
-    return (joints[0] - joints[1]).square()
+        if of == "joints":
+            positions.append(forward_kinematics(rotations, torch.zeros_like(root), body.rest_joints)[0])
+        else:
+            vertices = body(rotations.flatten(0, 1), torch.zeros_like(root).flatten(0, 1)).vertices
+            positions.append(vertices.unflatten(0, root.shape[:2]))
+    return (positions[0] - positions[1]).square()
 
 
 def generator_step(
     batch: Pairs,
+    noise: Noise,
     generator: Generator,
-    rest_joints: Tensor,
+    body: Body,
     decoupler: Decoupler | None,
     loss: GeneratorLoss,
     coupling: CouplingConfig,
-    random: torch.Generator,
+    decoupling: float | None = None,
+    share: Share = WHOLE,
+    half: bool = False,
 ) -> dict[str, Tensor]:
     """Terms of LFCA's objective: reconstruct the pseudo-composition of every pair, and look at some (Eqs. 4 to 7).
+
+    Args:
+        decoupling: weight of the decoupling loss at this step, if it is not ``loss.decoupling``.
+        share: what ``batch`` and ``noise`` are of the whole batch.
+        half: the network's products in bfloat16; everything else stays as it is.
 
     Returns:
         scalars ``rc``, ``rcxyz``, ``kl``, ``dr`` (each unweighted, those with weight 0 absent) and ``total``.
     """
-    target = couple_features(batch.features_i, batch.features_j, batch.lam, rest_joints, coupling)
+    target = couple_features(batch.features_i, batch.features_j, batch.lam, body.rest_joints, coupling)
     weights = label_weights(batch.class_i, batch.class_j, batch.lam, len(generator.config.classes))
-    made = generator(target, weights, batch.valid, random)
+    with torch.autocast(target.device.type, torch.bfloat16, enabled=half):
+        made = generator(target, weights, batch.valid, noise.latent)
     kl = kl_divergence(made.mean, made.log_variance)
     terms = {
-        "rc": mean_over_frames((made.features - target).square(), batch.valid),
-        "kl": kl.mean() if loss.kl_reduction == "mean" else kl.sum(),
+        "rc": share.frames * mean_over_frames((made.features - target).square(), batch.valid),
+        "kl": share.pairs * kl.mean() if loss.kl_reduction == "mean" else kl.sum(),
     }
     total = terms["rc"] + loss.kl * terms["kl"]
     if loss.joints:
-        terms["rcxyz"] = mean_over_frames(joint_errors(made.features, target, rest_joints), batch.valid)
+        errors = position_errors(made.features, target, body, loss.positions)
+        terms["rcxyz"] = share.frames * mean_over_frames(errors, batch.valid)
         total = total + loss.joints * terms["rcxyz"]
-    if loss.decoupling and decoupler is not None:
-        terms["dr"] = decoupling_term(made.features, batch, decoupler, loss, random)
-        total = total + loss.decoupling * terms["dr"]
+    decoupling = loss.decoupling if decoupling is None else decoupling
+    if decoupling and decoupler is not None:
+        looked = decoupling_term(made.features, batch, decoupler, loss, noise.chances) if len(noise.chances) else 0.0
+        terms["dr"] = torch.as_tensor(share.drawn * looked).to(total)
+        total = total + decoupling * terms["dr"]
     return terms | {"total": total}
 
 
-def decoupling_term(
-    made: Tensor, batch: Pairs, decoupler: Decoupler, loss: GeneratorLoss, random: torch.Generator
-) -> Tensor:
-    """The decoupling loss of random real frames of the batch's first clips; made [B T 25 6]."""
-    some = slice(loss.decoupling_clips)
+def decoupling_term(made: Tensor, batch: Pairs, decoupler: Decoupler, loss: GeneratorLoss, chances: Tensor) -> Tensor:
+    """The decoupling loss of random real frames of the batch's first clips.
+
+    Args:
+        made: [B T 25 6].
+        chances: [S T] in 0..1, of the first S clips; the real frames with the largest ones are drawn.
+    """
+    some = slice(len(chances))
     valid = batch.valid[some]
-    frames = (torch.rand(valid.shape, generator=random).to(made) + valid).topk(loss.decoupling_frames, dim=1).indices
+    frames = (chances + valid).topk(loss.decoupling_frames, dim=1).indices
     # Padded frames are zero, which is no rotation; any pose will do, since none of them is drawn.
     made = torch.where(valid[:, :, None, None], made[some], batch.features_i[some])
     composed = Clips(*stand(*from_features(made), decoupler.body.rest_joints))

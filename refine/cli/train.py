@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 from tyro.extras import subcommand_type_from_defaults
 
+from renderers.checks import UserError
 from renderers.outputs import check_place
 
 if TYPE_CHECKING:
@@ -51,8 +52,11 @@ class TrainMAE:
 
     def run(self) -> None:
         from train.mae import train_mae
+        from train.processes import launched
 
         config: MAETraining = checked(self.config, self.seed)
+        if launched().count > 1:
+            raise UserError("refine train mae", "trains on one process", "start it without torchrun")
         print(train_mae(config))
 
 
@@ -61,6 +65,8 @@ class TrainGenerator:
     """Train the generator of compositions on pairs of single actions.
 
     A run folder keeps configuration, log, curves, weights and a state; --resume goes on where it stopped.
+
+    With `torchrun --nproc-per-node 2 -m refine.cli.main train generator ...` it is one run on two processes.
 
     Example: refine train generator tiny --data.source clips.npz --out runs/generator
     """
@@ -71,6 +77,9 @@ class TrainGenerator:
 
     def run(self) -> None:
         from train.generator import train_generator
+        from train.processes import launched
 
         config: GeneratorTraining = checked(self.config, self.seed)
-        print(train_generator(config))
+        best = train_generator(config)
+        if launched().first:
+            print(best)

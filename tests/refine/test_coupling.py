@@ -172,7 +172,7 @@ def test_lam_is_normal_with_a_deviation_of_a_tenth(generator):
     lam = sample_lam(100_000, generator)
     assert float(lam.mean()) == pytest.approx(0.5, abs=0.002) and float(lam.std()) == pytest.approx(0.1, abs=0.002)
     assert lam.min() >= 0 and lam.max() <= 1
-    assert float(sample_lam(100_000, generator, uniform=True).std()) == pytest.approx(1 / 12**0.5, abs=0.002)
+    assert float(sample_lam(100_000, generator, "uniform").std()) == pytest.approx(1 / 12**0.5, abs=0.002)
 
 
 def test_length_label_and_refusals(rest_joints):

@@ -114,21 +114,55 @@ def test_no_causal_mask_so_length_changes_every_frame(small):
     assert ((short - long[:, :6]).abs().amax(dim=(2, 3)) > 1e-5).all()
 
 
-def test_the_latent_is_drawn_by_the_given_generator(small, features):
+def test_noise_moves_the_motion_and_not_the_posterior(small, features, generator):
     weights = torch.eye(3)[[0, 1, 2, 0]]
-    draws = [small(features, weights, VALID, torch.Generator().manual_seed(seed)) for seed in (1, 1, 2)]
-    assert torch.equal(draws[0].features, draws[1].features)
-    assert not torch.allclose(draws[0].features, draws[2].features)
-    assert torch.equal(draws[0].mean, draws[2].mean)
+    noise = torch.randn(4, 32, generator=generator)
+    first, again, other = (small(features, weights, VALID, drawn) for drawn in (noise, noise, -noise))
+    assert torch.equal(first.features, again.features)
+    assert not torch.allclose(first.features, other.features)
+    assert torch.equal(first.mean, other.mean)
 
 
-def test_latent_is_mean_plus_deviation_times_noise(small, features, monkeypatch):
+def test_latent_is_mean_plus_deviation_times_noise(small, features, generator, monkeypatch):
     weights = torch.eye(3)[[0, 1, 2, 0]]
     seen = []
-    monkeypatch.setattr(small, "decode", lambda latent, *_: seen.append(latent))
-    out = small(features, weights, VALID, torch.Generator().manual_seed(3))
-    noise = torch.randn(4, 32, generator=torch.Generator().manual_seed(3))
+
+    def record(latent, *_):
+        seen.append(latent)
+        return features
+
+    monkeypatch.setattr(small, "decode", record)
+    noise = torch.randn(4, 32, generator=generator)
+    out = small(features, weights, VALID, noise)
     torch.testing.assert_close(seen[0], out.mean + torch.exp(0.5 * out.log_variance) * noise)
+
+
+def test_half_precision_rounds_products_alone(small, features, generator, monkeypatch):
+    """Labels, posterior and results keep float32; the motion differs from float32's as bfloat16's 8 bits allow."""
+    weights = label_weights(torch.tensor([0, 1, 2, 0]), torch.tensor([1, 2, 0, 2]), torch.full((4,), 0.537), 3)
+    noise = torch.randn(4, 32, generator=generator)
+    exact = small(features, weights, VALID, noise)
+    seen = []
+    hook = small.encoder.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[0]))
+    with torch.autocast("cpu", torch.bfloat16):
+        rounded = small(features, weights, VALID, noise)
+    hook.remove()
+    assert {value.dtype for value in (*rounded, *seen)} == {torch.float32}
+    torch.testing.assert_close(seen[0][:, 0], weights @ small.mean_tokens + positions(9, 32)[0])
+    error = (rounded.features - exact.features).norm() / exact.features.norm()
+    assert 1e-5 < error < 0.02
+
+
+def test_two_memory_tokens_hold_latent_and_label_apart(generator):
+    config = GeneratorConfig(names(3), latent=32, feedforward=64, layers=1, memory="concat")
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        model = Generator(config).eval()
+    seen = []
+    model.decoder.register_forward_pre_hook(lambda _, inputs: seen.append(inputs[1]))
+    latent, weights = torch.randn(2, 32, generator=generator), torch.eye(3)[:2]
+    model.decode(latent, weights, VALID[:2])
+    assert torch.equal(seen[0], torch.stack([latent, model.decoder_biases[:2]], dim=1))
 
 
 def test_generate_has_one_row_per_label_row(small):
@@ -164,7 +198,9 @@ def test_refusals(small, features):
     with pytest.raises(UserError, match=r"0\.0 s is not a length"):
         generate_motions(small, ["walk"], 1, 0.0, torch.zeros(24, 3), torch.Generator())
     with pytest.raises(ShapeError, match=r"expected shape \[B C\] with C=3, B=4, got \[4, 2\]"):
-        small(features, torch.zeros(4, 2), VALID, torch.Generator())
+        small(features, torch.zeros(4, 2), VALID, torch.zeros(4, 32))
+    with pytest.raises(ShapeError, match=r"Generator\(noise\): expected shape \[B D\]"):
+        small(features, torch.zeros(4, 3), VALID, torch.zeros(4, 16))
     with pytest.raises(UserError, match="6 heads"):
         GeneratorConfig(names(2), heads=6)
     with pytest.raises(AssertionError):  # torch itself refuses SINC's "6 heads"

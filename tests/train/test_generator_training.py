@@ -6,7 +6,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from refine.generator import generate_motions
+from refine.generator import TINY, generate_motions
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
 from renderers.body import Body
@@ -41,7 +41,7 @@ def config(folder, mae, **changes) -> GeneratorTraining:
                 synthetic_clips=2,
                 synthetic_seconds=1.0,
             ),
-            size="tiny",
+            network=TINY,
             loss=GeneratorLoss(decoupling_clips=1, decoupling_frames=1),
             loop=LoopConfig(steps=20, learning_rate=1e-3, save_every=10),
             batch=4,
@@ -113,5 +113,5 @@ def test_unknown_labels_and_damaged_weights_are_refused(trained, mae, tmp_path):
 
 def test_presets_are_complete():
     assert MAE_PRESETS.keys() == {"tiny", "small", "paper"}
-    assert GENERATOR_PRESETS.keys() == {"tiny", "paper"}
+    assert GENERATOR_PRESETS.keys() == {"tiny", "small", "paper"}
     assert GENERATOR_PRESETS["paper"][1].batch == 800

@@ -1,4 +1,4 @@
-"""Loss terms by hand (protocol G.9), the generator's step and the MAE's."""
+"""Loss terms by hand, the generator's step and the MAE's."""
 
 from dataclasses import replace
 from types import SimpleNamespace
@@ -11,7 +11,7 @@ from refine.coupling import CouplingConfig, couple_features
 from refine.decoupling import Decoupler
 from refine.generator import Generator, GeneratorConfig
 from refine.mae import MAE, MAEConfig
-from refine.motion import to_features
+from refine.motion import from_features, to_features
 from refine.patches import keep_random, patchify
 from renderers.body import Body
 from renderers.rotations import axis_angle_to_matrix, matrix_to_6d
@@ -20,12 +20,15 @@ from train.data import Pairs
 from train.pictures import Pictures
 from train.steps import (
     GeneratorLoss,
+    Noise,
+    Share,
     decoupling_term,
+    draw_noise,
     generator_step,
-    joint_errors,
     kl_divergence,
     mae_step,
     mean_over_frames,
+    position_errors,
 )
 
 CLIPS, FRAMES = 3, 8
@@ -69,10 +72,13 @@ def batch() -> Pairs:
     return Pairs(*sides, height, height, index, index + 1, torch.full((CLIPS,), 0.5), valid)
 
 
+def noise_for(loss: GeneratorLoss, seed: int = 0) -> Noise:
+    return draw_noise(CLIPS, 32, FRAMES, loss, torch.Generator().manual_seed(seed))
+
+
 def step(batch, model, body, decoupler=None, seed=0, **loss):
-    random = torch.Generator().manual_seed(seed)
     config = replace(GeneratorLoss(), **loss)
-    return generator_step(batch, model, body.rest_joints, decoupler, config, CouplingConfig(), random)
+    return generator_step(batch, noise_for(config, seed), model, body, decoupler, config, CouplingConfig())
 
 
 def test_kl_divergence_by_hand():
@@ -103,12 +109,87 @@ def test_mean_over_frames_leaves_padding_out():
 def test_joint_errors_ignore_translation_and_see_rotation(batch, body):
     moved = batch.features_i.clone()
     moved[:, :, 24, :3] += 2.0
-    assert joint_errors(moved, batch.features_i, body.rest_joints).max() == 0
+    assert position_errors(moved, batch.features_i, body).max() == 0
     turned = batch.features_i.clone()
     turned[:, :, 18] = batch.features_j[:, :, 18]  # an elbow moves the wrist and the hand below it, and nothing else
-    errors = joint_errors(turned, batch.features_i, body.rest_joints).sum((0, 1, 3))
+    errors = position_errors(turned, batch.features_i, body).sum((0, 1, 3))
     assert errors[[20, 22]].min() > 1e-4
     assert errors[[joint for joint in range(24) if joint not in (20, 22)]].max() < 1e-9
+
+
+def test_vertex_errors_are_of_bodies_at_the_origin(batch, body):
+    moved = batch.features_i.clone()
+    moved[:, :, 24, :3] += 2.0
+    assert position_errors(moved, batch.features_i, body, "vertices").max() == 0
+    errors = position_errors(batch.features_j, batch.features_i, body, "vertices")
+    assert errors.shape == (CLIPS, FRAMES, len(body.rest_vertices), 3)
+    ours, theirs = (from_features(side)[0][1, 4][None] for side in (batch.features_j, batch.features_i))
+    expected = body(ours, torch.zeros(1, 3)).vertices - body(theirs, torch.zeros(1, 3)).vertices
+    torch.testing.assert_close(errors[1, 4], expected[0].square())
+
+
+def test_vertices_are_compared_where_they_are_asked_for(batch, model, body):
+    joints, vertices = (step(batch, model, body, positions=of)["rcxyz"] for of in ("joints", "vertices"))
+    assert not torch.isclose(joints, vertices, rtol=1e-3)
+
+
+def test_the_weight_of_the_decoupling_loss_over_the_steps():
+    loss = GeneratorLoss(decoupling=2.0)
+    assert [loss.decoupling_at(step) for step in (0, 1, 100)] == [2.0] * 3
+    late = replace(loss, decoupling_start=10, decoupling_ramp=4)
+    assert [late.decoupling_at(step) for step in range(9, 16)] == [0.0, 0.5, 1.0, 1.5, 2.0, 2.0, 2.0]
+    seldom = replace(loss, decoupling_start=1, decoupling_every=3)
+    assert [seldom.decoupling_at(step) for step in range(8)] == [0, 6.0, 0, 0, 6.0, 0, 0, 6.0]
+    assert sum(seldom.decoupling_at(step) for step in range(1, 301)) == 300 * 2.0
+
+
+def test_a_step_without_the_decoupling_loss_draws_nothing(batch, model, body, decoupler):
+    loss = GeneratorLoss()
+    terms = generator_step(batch, noise_for(loss), model, body, decoupler, loss, CouplingConfig(), decoupling=0.0)
+    assert terms.keys() == {"rc", "rcxyz", "kl", "total"}
+
+
+@pytest.mark.parametrize("kl_reduction", ["mean", "sum"])
+@pytest.mark.parametrize("shards", [2, 3])
+def test_terms_and_gradients_of_shards_add_up_to_those_of_the_batch(
+    batch, model, body, decoupler, shards, kl_reduction
+):
+    """Shards of unequal lengths, and one in which no clip is looked at."""
+    loss = GeneratorLoss(decoupling=3.0, decoupling_clips=2, decoupling_frames=2, kl_reduction=kl_reduction)
+    noise, real = noise_for(loss), batch.valid.sum(1)
+
+    def gradients() -> list[torch.Tensor]:
+        found = [value.grad.clone() for value in model.parameters() if value.grad is not None]
+        model.zero_grad()
+        return found
+
+    whole = generator_step(batch, noise, model, body, decoupler, loss, CouplingConfig())
+    whole["total"].backward()
+    expected = gradients()
+    sums = dict.fromkeys(whole, 0.0)
+    for index in range(shards):
+        some = slice(index, None, shards)
+        share = Share(float(real[some].sum() / real.sum()), len(real[some]) / CLIPS, len(noise.chances[some]) / 2)
+        part, own = (type(values)(*(value[some] for value in values)) for values in (batch, noise))
+        terms = generator_step(part, own, model, body, decoupler, loss, CouplingConfig(), share=share)
+        terms["total"].backward()
+        sums = {name: sums[name] + terms[name].detach() for name in sums}
+    for name, value in whole.items():
+        torch.testing.assert_close(sums[name], value.detach(), rtol=2e-6, atol=0, msg=name)
+    for ours, theirs in zip(gradients(), expected, strict=True):
+        torch.testing.assert_close(ours, theirs, rtol=1e-4, atol=1e-6 * float(theirs.abs().max() + 1e-3))
+
+
+def test_half_precision_stays_in_the_network(batch, model, body, decoupler):
+    loss = GeneratorLoss(decoupling_clips=CLIPS)
+    exact, rounded = (
+        generator_step(batch, noise_for(loss), model, body, decoupler, loss, CouplingConfig(), half=half)
+        for half in (False, True)
+    )
+    for name, value in rounded.items():
+        assert value.dtype == torch.float32, name
+        assert value.item() == pytest.approx(exact[name].item(), rel=0.03), name
+    assert rounded["rc"] != exact["rc"]
 
 
 def test_total_is_the_weighted_sum(batch, model, body, decoupler):
@@ -125,7 +206,7 @@ def test_terms_of_weight_zero_are_not_computed(batch, model, body):
 def test_reconstruction_is_of_the_composition(batch, model, body):
     target = couple_features(batch.features_i, batch.features_j, batch.lam, body.rest_joints)
     weights = torch.full((CLIPS, 2), 0.5)
-    made = model(target, weights, batch.valid, torch.Generator().manual_seed(0)).features
+    made = model(target, weights, batch.valid, noise_for(GeneratorLoss()).latent).features
     expected = (made - target)[batch.valid].square().mean()
     torch.testing.assert_close(step(batch, model, body)["rc"], expected)
 
@@ -151,7 +232,8 @@ def test_the_decoupling_term_draws_real_frames_of_the_first_clips(batch, decoupl
     random = torch.Generator().manual_seed(0)
     drawn = set()
     for _ in range(20):
-        decoupling_term(batch.features_i * batch.valid[..., None, None], batch, decoupler, loss, random)
+        chances = torch.rand(2, FRAMES, generator=random)
+        decoupling_term(batch.features_i * batch.valid[..., None, None], batch, decoupler, loss, chances)
         assert seen["frames"].shape == (2, 5)
         assert set(seen["frames"][1].tolist()) == {0, 1, 2, 3, 4}
         drawn |= set(seen["frames"][0].tolist())
