@@ -5,7 +5,7 @@ a single action, and the difference to that sub-action's own picture is the loss
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import torch
@@ -15,7 +15,7 @@ from refine.attention import attention_map
 from refine.energies import energy_signal, joint_energies, part_energies
 from refine.ownership import Owned, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
-from refine.seeing import Clips, Pinning, Seen, draw, flesh, joints_to_draw, mesh_to_draw, pin, reach
+from refine.seeing import Clips, Pinning, Seen, check_drawn, draw, flesh, joints_to_draw, mesh_to_draw, pin, reach
 from renderers.body import Body
 from renderers.camera import Camera, frame
 from renderers.checks import UserError, check_shapes
@@ -57,6 +57,12 @@ class DecouplingConfig:
 PAPER = DecouplingConfig(views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,))
 
 
+def default_for(channels: int) -> DecouplingConfig:
+    """Our configuration, as far as an MAE's pictures allow it: without a channel for each part there is none to own."""
+    ours = DecouplingConfig()
+    return ours if channels == len(DRAWN_PART_NAMES) else replace(ours, ownership="none", pinned="body")
+
+
 class Reference(NamedTuple):
     """A sub-action's half of the question: what is looked at, and what should be seen there."""
 
@@ -89,7 +95,11 @@ def take_frames(values: Tensor, frames: Tensor) -> Tensor:
 
 
 class Decoupler(nn.Module):
-    """Eq. 7 as a module around a body and a frozen MAE.
+    """Eq. 7 as a module around a body and a frozen MAE; without a configuration ours, as far as its pictures allow.
+
+    Pictures are compared in 0..1, whatever the MAE makes of them inside. In the units of ImageNet's deviation, which
+    the official networks read, the same error is 1 / 0.229^2, 1 / 0.224^2 and 1 / 0.225^2 times as large in red, green
+    and blue: about 19.6 times.
 
     ``forward`` does everything for a training step. ``references`` and ``compare`` are its two halves, for a caller
     whose sub-actions stay while the composition changes.
@@ -97,13 +107,12 @@ class Decoupler(nn.Module):
 
     def __init__(self, body: Body, mae: nn.Module, config: DecouplingConfig | None = None):
         super().__init__()
-        self.config = config = config or DecouplingConfig()
-        self.body, self.mae = body, mae.eval().requires_grad_(False)
         channels = mae.config.channels
-        if channels not in (1, len(DRAWN_PART_NAMES)):
-            raise UserError("Decoupler(mae)", f"draws 1 or {len(DRAWN_PART_NAMES)} channels, the MAE wants {channels}")
-        if channels == 1 and (config.ownership != "none" or config.pinned == "trunk"):
-            problem = "a plain silhouette has no parts to own or to draw apart"
+        self.config = config = config or default_for(channels)
+        self.body, self.mae = body, mae.eval().requires_grad_(False)
+        check_drawn(channels, "body")
+        if channels != len(DRAWN_PART_NAMES) and (config.ownership != "none" or config.pinned == "trunk"):
+            problem = f"a picture of {channels} channels has no parts to own or to draw apart"
             raise UserError("Decoupler(config)", problem, 'use ownership="none" and another pinning')
         self.mesh = mesh_to_draw(body, config.pinned, channels)
         self.register_buffer("flesh", flesh(body), persistent=False)
@@ -143,7 +152,8 @@ class Decoupler(nn.Module):
         rotations, root = (take_frames(value, frames) for value in pin(clips, self.config.pinned))
         bodies = zip(rotations.flatten(0, 1).split(CHUNK), root.flatten(0, 1).split(CHUNK), strict=True)
         mesh = self.mesh.to(root.device)
-        seen = [draw(self.body, mesh, *some, cameras, self.config.pinned) for some in bodies]
+        channels = self.mae.config.channels
+        seen = [draw(self.body, mesh, *some, cameras, self.config.pinned, channels) for some in bodies]
         return Seen(*(torch.cat(values) for values in zip(*seen, strict=True)))
 
     @torch.no_grad()
@@ -161,7 +171,7 @@ class Decoupler(nn.Module):
     def ownership(self, i: Clips, j: Clips) -> tuple[Owned, Owned]:
         """What each sub-action owns of its B pairs' channels."""
         if self.config.ownership == "none":
-            return everything(len(i.root), self.mesh.channels)
+            return everything(len(i.root), self.mae.config.channels)
         turning = [part_energies(energy_signal(*clips, self.body.rest_joints, "rot6d")) for clips in (i, j)]
         return by_standing(*turning, self.config.contested, self.config.quiet)
 

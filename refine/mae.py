@@ -246,7 +246,8 @@ def read_official(weights: Path) -> dict[str, Tensor]:
         with torch.serialization.safe_globals([argparse.Namespace]):
             found = torch.load(weights, map_location="cpu", weights_only=True, mmap=is_zipfile(weights))
     except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
-        raise UserError(weights, f"no checkpoint that can be read safely ({reason(error)})", WITH_DECODER) from error
+        problem = "is damaged, no checkpoint of torch, or holds more than tensors and plain values"
+        raise UserError(weights, problem, WITH_DECODER) from error
     tensors = found.get("model", found) if isinstance(found, Mapping) else None
     if not isinstance(tensors, Mapping) or not all(isinstance(value, Tensor) for value in tensors.values()):
         raise UserError(weights, "holds no network's tensors, by themselves or under 'model'", WITH_DECODER)

@@ -170,7 +170,8 @@ def take_rows(reference: Reference, rows: Tensor) -> Reference:
 def answered_joints(references: tuple[Reference, Reference]) -> Tensor:
     """[24 1] bool: joints in whose channel a sub-action is more likely than not to be the owner."""
     answers = sum(reference.owned.answers[0] for reference in references)
-    channels = part_of_joint(DRAWN_PARTS) if len(answers) > 1 else [0] * len(JOINT_NAMES)
+    by_part = len(answers) == len(DRAWN_PARTS)  # else all share the picture
+    channels = part_of_joint(DRAWN_PARTS) if by_part else [0] * len(JOINT_NAMES)
     return (answers >= 0.5)[list(channels), None]
 
 

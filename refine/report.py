@@ -13,6 +13,7 @@ from torch import Tensor
 from refine.composition import Composition
 from refine.decoupling import Trace
 from refine.drawing import strip
+from refine.seeing import COLOURED
 from renderers.body import Body
 from renderers.images import (
     chart,
@@ -38,7 +39,7 @@ STAGES = (
     "what counts of it",
 )
 NOTES = (
-    "All bodies: one camera, one scale, place and heading taken out. Left arm red, right arm green, left leg orange, "
+    "All bodies: one camera, one scale, place and heading taken out. Left arm red, right arm green, left leg {leg}, "
     "right leg blue.",
     "Energies: the larger and darker, the more the part moves, relative to this action's busiest. "
     "Attention: the darker, the more a pixel belongs to the action; each picture has its own scale.",
@@ -118,12 +119,12 @@ def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "
     """
     composed = trace.composed.pictures[index]
     factor = max(1, side // composed.shape[-1])
-    whole = enlarged(part_picture(composed), factor)
+    whole = enlarged(visible(composed), factor)
     rows, captions = [], []
     for name, reference, answer in zip(names, trace.references, trace.sides, strict=True):
         answers, shown = (value[index].cpu() for value in reference.owned)
         own, inpainted = reference.seen.pictures[index], answer.inpainted[index].clamp(0, 1)
-        own_picture = enlarged(part_picture(own), factor)
+        own_picture = enlarged(visible(own), factor)
         weigh = answers.sqrt()[:, None, None].to(own)
         patches = round(answer.kept.shape[1] ** 0.5)
         rows.append(
@@ -133,20 +134,26 @@ def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "
                 with_joints(own_picture, reference.seen.joints_px[index], reference.energies[index], factor),
                 heat_map(whole, answer.attention[index].sqrt()),
                 kept_patches(
-                    enlarged(part_picture(composed.cpu() * shown[:, None, None]), factor),
+                    enlarged(visible(composed.cpu() * shown[:, None, None]), factor),
                     answer.kept[index].reshape(patches, patches),
                 ),
-                enlarged(part_picture(inpainted), factor),
+                enlarged(visible(inpainted), factor),
                 enlarged(difference_picture(inpainted, own), factor),
                 enlarged(difference_picture(*(picture * weigh for picture in (inpainted, own))), factor),
             ]
         )
         captions.append(f"{name}: loss {float(answer.loss[index]):.6f}{answers_for(answers)}")
-    return contact_sheet(rows, captions, STAGES, title, notes=NOTES)
+    leg = "purple" if len(composed) == COLOURED else "orange"
+    return contact_sheet(rows, captions, STAGES, title, notes=[NOTES[0].format(leg=leg), *NOTES[1:]])
+
+
+def visible(picture: Tensor) -> Tensor:
+    """A picture of the loop [C H W] as one for people [3 H W]; one in colours is that already."""
+    return picture if len(picture) == COLOURED else part_picture(picture)
 
 
 def answers_for(answers: Tensor) -> str:
-    """In words, the share of each drawn part [C] that an action answers for; nothing for a plain silhouette."""
+    """In words, the share of each drawn part [C] that an action answers for; nothing where parts have no channels."""
     if len(answers) != len(DRAWN_PART_NAMES):
         return ""
     shares = zip(DRAWN_PART_NAMES, answers.tolist(), strict=True)

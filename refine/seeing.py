@@ -8,6 +8,7 @@ from torch import Tensor
 
 from renderers.body import Body
 from renderers.camera import Camera
+from renderers.checks import UserError, check_shapes
 from renderers.mesh import Mesh
 from renderers.rotations import heading, rotation_about
 from renderers.silhouette import silhouette
@@ -20,6 +21,17 @@ that one action's arm can be compared though the trunk is the other's (the trunk
 
 SPINE = [JOINTS[name] for name in ("spine1", "spine2", "spine3")]
 TRUNK_CHANNELS = [DRAWN_PART_NAMES.index(name) for name in ("torso", "head")]
+COLOURED = 3  # channels of a picture whose parts are colours
+# Of the drawn parts: light of two halves or of four quarters, on black. Red, green and blue each sum to 1 over the
+# parts, so that parts before one another add up, as channels of their own would, and never leave 0..1.
+COLOURS = (
+    (0.0, 0.25, 0.25),  # torso
+    (0.25, 0.25, 0.0),  # head
+    (0.5, 0.0, 0.0),  # left arm
+    (0.0, 0.5, 0.0),  # right arm
+    (0.25, 0.0, 0.25),  # left leg
+    (0.0, 0.0, 0.5),  # right leg
+)
 LIMB_JOINTS = [part not in TRUNK_CHANNELS for part in part_of_joint(DRAWN_PARTS)]
 
 
@@ -33,7 +45,7 @@ class Clips(NamedTuple):
 class Seen(NamedTuple):
     """Bodies as the cameras see them; N runs over bodies, then views."""
 
-    pictures: Tensor  # [N C H W] part silhouettes, 0..1
+    pictures: Tensor  # [N C H W] in 0..1: one silhouette, one of each part, or the parts in colours (`COLOURED`)
     joints_px: Tensor  # [N 24 2] pixels (x, y)
 
 
@@ -75,8 +87,23 @@ def flesh(body: Body) -> Tensor:
     return torch.zeros(24).to(distances).scatter_reduce(0, nearest, distances, "amax")
 
 
+def check_drawn(channels: int, mode: Pinning) -> None:
+    """Refuse pictures that are not drawn: of another number of channels, or with parts apart where none has its own."""
+    if channels not in (1, COLOURED, len(DRAWN_PART_NAMES)):
+        drawn = f"1 (plain), {COLOURED} (colours) or {len(DRAWN_PART_NAMES)} (parts)"
+        raise UserError("MAEConfig(channels)", f"bodies are drawn in {drawn} channels, not {channels}")
+    if mode == "trunk" and channels != len(DRAWN_PART_NAMES):
+        problem = f"limbs on a straight trunk need a channel for each part, not {channels}"
+        raise UserError('pinned="trunk"', problem, 'use another, for example pinned="body"')
+
+
 def mesh_to_draw(body: Body, mode: Pinning, channels: int) -> Mesh:
-    """What `draw` draws: the body whole (1 channel) or by parts; for "trunk", one body's trunk and another's limbs."""
+    """What `draw` draws: the body whole (1 channel) or by parts; for "trunk", one body's trunk and another's limbs.
+
+    Raises:
+        UserError: see ``check_drawn``.
+    """
+    check_drawn(channels, mode)
     if mode != "trunk":
         return Mesh.build(body.faces, body.face_parts if channels > 1 else None)
     limb = ~torch.isin(body.face_parts, torch.tensor(TRUNK_CHANNELS).to(body.face_parts))
@@ -92,17 +119,37 @@ def joints_to_draw(body: Body, rotations: Tensor, root: Tensor, mode: Pinning) -
     return joints
 
 
-def draw(body: Body, mesh: Mesh, rotations: Tensor, root: Tensor, cameras: list[Camera], mode: Pinning) -> Seen:
+def draw(
+    body: Body,
+    mesh: Mesh,
+    rotations: Tensor,
+    root: Tensor,
+    cameras: list[Camera],
+    mode: Pinning,
+    channels: int | None = None,
+) -> Seen:
     """Draw pinned bodies in every view.
 
     Args:
-        mesh: `mesh_to_draw` for this body and mode.
+        mesh: `mesh_to_draw` for this body, mode and channels.
         rotations: [N 24 3 3], root: [N 3] metres, both as ``pin`` leaves them.
+        channels: of the pictures, if other than the mesh's: `COLOURED` for parts in colours.
     """
     posed = body(rotations, root)
     vertices = posed.vertices
     if mode == "trunk":
         vertices = torch.cat([vertices, body(straighten(rotations), root).vertices], dim=1)
     pictures = [silhouette(vertices, mesh, camera) for camera in cameras]
+    if channels == COLOURED:
+        pictures = [coloured(parts) for parts in pictures]
     joints_px = [camera.project(posed.joints) for camera in cameras]
     return Seen(torch.stack(pictures, 1).flatten(0, 1), torch.stack(joints_px, 1).flatten(0, 1))
+
+
+def coloured(parts: Tensor) -> Tensor:
+    """Silhouettes of the drawn parts [N 6 H W] -> [N 3 H W] in 0..1: what they cover in `COLOURS`, added up.
+
+    Linear in the coverages, so that gradients reach every part, also one behind another.
+    """
+    check_shapes("coloured", parts=(parts, f"N {len(COLOURS)} H W"))
+    return torch.einsum("nphw,pc->nchw", parts, torch.tensor(COLOURS).to(parts))

@@ -13,6 +13,7 @@ from torch import Tensor
 
 from refine.attention import attention_map
 from refine.energies import energy_signal, joint_energies
+from refine.mae import MAEConfig
 from refine.motion import Motion
 from refine.patches import keep_random, keep_top, patch_means
 from refine.seeing import Clips, Pinning, draw, pin, reach
@@ -21,6 +22,7 @@ from renderers.camera import frame
 from renderers.checks import UserError, check_range
 from renderers.mesh import Mesh
 from renderers.rotations import axis_angle_to_matrix, rotation_about
+from renderers.skeleton import DRAWN_PARTS
 
 
 @dataclass(frozen=True)
@@ -43,7 +45,7 @@ class PictureConfig:
     """Share of the pictures that keep the patches of their action's attention field; the others keep random ones."""
     parts_hidden: float = 0.5
     """Share of the pictures that lack some body parts altogether, as the decoupling loss hides what it does not ask
-    about. Needs a channel for each part."""
+    about. Nothing is hidden where parts have no channels of their own."""
 
     def __post_init__(self):
         check_range(self, 0.01, 0.99, "kept")
@@ -92,12 +94,12 @@ def draw_pictures(
     count: int,
     body: Body,
     mesh: Mesh,
-    size: int,
-    patch: int,
+    network: MAEConfig,
     config: PictureConfig,
     random: torch.Generator,
 ) -> Pictures:
-    """``count`` poses drawn at random, rendered at ``size`` pixels square and masked in patches of ``patch`` pixels."""
+    """``count`` poses drawn at random, rendered and masked as the network reads them."""
+    size, patch = network.size, network.patch
     index = torch.randint(len(poses.root), (count,), generator=random).to(poses.root.device)
     rotations, root, energies = (values[index] for values in poses)
     yaw = math.radians(config.yaw) * (2 * torch.rand(count, generator=random) - 1)
@@ -109,12 +111,13 @@ def draw_pictures(
     margin = config.zoom * float(torch.rand((), generator=random))
     camera = frame(reach(body.rest_joints, config.pinned), (size, size), margin=margin)
     with torch.no_grad():
-        images, joints_px = draw(body, mesh, rotations, root, [camera], config.pinned)
+        images, joints_px = draw(body, mesh, rotations, root, [camera], config.pinned, network.channels)
         attention = patch_means(attention_map(energies, joints_px, (size, size)), patch)
     by_attention = torch.rand(count, 1, generator=random) < config.attention_share
     at_random = keep_random(count, attention.shape[1], config.kept, random)
     kept = torch.where(by_attention.to(images.device), keep_top(attention, config.kept), at_random.to(images.device))
-    shown = show_parts(count, mesh.channels, config.parts_hidden, random).to(images.device)
+    hidden = config.parts_hidden if network.channels == len(DRAWN_PARTS) else 0.0
+    shown = show_parts(count, network.channels, hidden, random).to(images.device)
     return Pictures(images, kept, shown)
 
 

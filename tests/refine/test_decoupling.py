@@ -6,10 +6,10 @@ import pytest
 import torch
 
 from refine.attention import attention_map
-from refine.decoupling import PAPER, Decoupler
+from refine.decoupling import PAPER, Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.patches import patchify
-from refine.seeing import Clips
+from refine.seeing import Clips, coloured
 from renderers.body import Body
 from renderers.checks import ShapeError, UserError
 from renderers.rotations import axis_angle_to_matrix, rotation_about
@@ -149,6 +149,33 @@ def test_kept_patches_lie_where_the_action_moves(body, mae):
     assert left_of_body > 3.5 > right_of_body  # the left arm appears on the picture's right
 
 
+@pytest.mark.parametrize("channels", [1, 3, 6])
+def test_our_configuration_is_what_the_pictures_allow(body, mae, channels):
+    decoupler = Decoupler(body, MAE(replace(mae.config, channels=channels)))
+    ours = DecouplingConfig()
+    assert decoupler.config == (ours if channels == 6 else replace(ours, ownership="none", pinned="body"))
+    trace = decoupler(clips(0), clips(1), clips(2), FRAMES)
+    assert trace.sides[0].inpainted.shape[1] == trace.references[0].owned.answers.shape[1] == channels
+
+
+def test_pictures_in_colours_are_compared_in_them(body, mae):
+    """Of an MAE of three channels, every stage is the six parts' coverage in their colours."""
+    three = MAE(replace(mae.config, channels=3, normalisation="imagenet"))
+    subs = clips(0), clips(1), clips(2, ["right_elbow"])
+    trace, parts = (Decoupler(body, network, PLAIN)(*subs, FRAMES) for network in (three, mae))
+    assert torch.allclose(trace.composed.pictures, coloured(parts.composed.pictures))
+    assert torch.allclose(trace.references[1].seen.pictures, coloured(parts.references[1].seen.pictures))
+    assert torch.equal(trace.sides[0].kept, parts.sides[0].kept)
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_gradients_through_other_channels_against_finite_differences(body, mae, channels):
+    normalisation = "imagenet" if channels == 3 else "none"
+    torch.manual_seed(0)
+    whole = MAE(replace(mae.config, channels=channels, normalisation=normalisation))
+    check_gradient(Decoupler(body, whole, PLAIN))
+
+
 def test_no_gradient_into_masked_patches(body, mae):
     decoupler = Decoupler(body, mae, PLAIN)
     composed, i, j = clips(0), clips(1), clips(2)
@@ -174,7 +201,10 @@ def test_gradient_reaches_the_composition_alone(body, mae):
 
 
 def test_gradient_against_finite_differences(body, mae):
-    decoupler = Decoupler(body, mae, PLAIN)
+    check_gradient(Decoupler(body, mae, PLAIN))
+
+
+def check_gradient(decoupler):
     composed, i, j = clips(0, ["left_shoulder"]), clips(1), clips(2)
     rotations = composed.rotations.clone().requires_grad_()
     decoupler(Clips(rotations, composed.root), i, j, FRAMES).loss.backward()
@@ -188,9 +218,12 @@ def test_gradient_against_finite_differences(body, mae):
 
 
 def test_refusals(body, mae):
-    with pytest.raises(UserError, match="draws 1 or 6 channels, the MAE wants 3"):
-        Decoupler(body, MAE(replace(mae.config, channels=3)))
-    with pytest.raises(UserError, match="no parts to own"):
-        Decoupler(body, MAE(replace(mae.config, channels=1)), replace(PLAIN, ownership="standing"))
+    with pytest.raises(UserError, match=r"drawn in 1 \(plain\), 3 \(colours\) or 6 \(parts\) channels, not 4"):
+        Decoupler(body, MAE(replace(mae.config, channels=4)))
+    for channels in (1, 3):
+        whole = MAE(replace(mae.config, channels=channels))
+        for change in ({"ownership": "standing"}, {"pinned": "trunk"}):
+            with pytest.raises(UserError, match=f"a picture of {channels} channels has no parts to own"):
+                Decoupler(body, whole, replace(PLAIN, **change))
     with pytest.raises(ShapeError, match="frames"):
         Decoupler(body, mae, PLAIN)(clips(0), clips(1), clips(2), FRAMES[:1])

@@ -1,11 +1,14 @@
 """What pictures of motions show, and what pinning and straightening take out of them."""
 
+import math
+
 import pytest
 import torch
 
-from refine.seeing import Clips, draw, mesh_to_draw, pin, reach, straighten
+from refine.seeing import COLOURS, Clips, coloured, draw, mesh_to_draw, pin, reach, straighten
 from renderers.body import Body
 from renderers.camera import frame
+from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix, rotation_about
 from renderers.skeleton import DRAWN_PART_NAMES, JOINTS
 
@@ -96,3 +99,38 @@ def test_every_view_shows_the_body_equally_large(body, yaw):
         frame(reach(body.rest_joints, "body"), (64, 64), yaw=angle, margin=0.0).focal[0, 0] for angle in (0.0, yaw)
     ]
     assert float(focal[0]) == pytest.approx(float(focal[1]), rel=0.02)
+
+
+def test_colours_add_up_and_stay_in_range():
+    """Whatever covers a pixel, it stays in 0..1, and what people would confuse can be told apart."""
+    colours = torch.tensor(COLOURS)
+    assert torch.equal(colours.sum(0), torch.ones(3)) and (colours >= 0).all()
+    assert torch.nn.functional.pdist(torch.cat([torch.zeros(1, 3), colours])).min() > 0.35
+    parts = torch.rand(2, 6, 4, 5, generator=torch.Generator().manual_seed(0))
+    here = [sum(parts[1, p, 2, 3] * COLOURS[p][c] for p in range(6)) for c in range(3)]
+    assert torch.allclose(coloured(parts)[1, :, 2, 3], torch.stack(here))
+
+
+def test_an_arm_before_the_trunk_is_seen_in_colours(body):
+    """From the left, an arm that hangs adds its red to the torso's colour."""
+    pose = torch.zeros(1, 24, 3)
+    pose[:, JOINTS["left_shoulder"], 2] = -1.3
+    rotations = axis_angle_to_matrix(pose)
+    camera = frame(reach(body.rest_joints, "body"), (64, 64), yaw=math.pi / 2, margin=0.0)
+    seen = {}
+    for channels in (3, 6):
+        mesh = mesh_to_draw(body, "body", channels)
+        seen[channels] = draw(body, mesh, rotations, torch.zeros(1, 3), [camera], "body", channels).pictures[0]
+    torso, arm = (seen[6][DRAWN_PART_NAMES.index(name)] for name in ("torso", "left_arm"))
+    both = (torso > 0.99) & (arm > 0.99)
+    assert both.sum() > 5
+    mixed = torch.tensor(COLOURS)[DRAWN_PART_NAMES.index("torso")] + torch.tensor([0.5, 0.0, 0.0])
+    assert torch.allclose(seen[3][:, both], mixed[:, None].expand(-1, int(both.sum())), atol=0.02)
+
+
+def test_refuses_pictures_that_are_not_drawn(body):
+    with pytest.raises(UserError, match="not 2"):
+        mesh_to_draw(body, "body", 2)
+    for channels in (1, 3):
+        with pytest.raises(UserError, match="need a channel for each part"):
+            mesh_to_draw(body, "trunk", channels)

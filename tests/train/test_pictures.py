@@ -5,7 +5,7 @@ from dataclasses import replace
 import pytest
 import torch
 
-from refine.decoupling import Decoupler, DecouplingConfig
+from refine.decoupling import PAPER, Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
 from refine.seeing import Clips, mesh_to_draw
@@ -14,6 +14,7 @@ from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix
 from train.pictures import PictureConfig, Poses, draw_pictures, poses_of, show_parts
 
+PARTS = MAEConfig()
 STILL = PictureConfig(yaw=0.0, shift=0.0, zoom=0.0, parts_hidden=0.0)
 
 
@@ -32,9 +33,9 @@ def waving() -> Motion:
     return Motion(axis_angle_to_matrix(turns), root, 30.0, "wave")
 
 
-def draw(body, poses, count, config, seed=0):
-    mesh = mesh_to_draw(body, config.pinned, channels=6)
-    return draw_pictures(poses, count, body, mesh, 64, 8, config, torch.Generator().manual_seed(seed))
+def draw(body, poses, count, config, seed=0, network=PARTS):
+    mesh = mesh_to_draw(body, config.pinned, network.channels)
+    return draw_pictures(poses, count, body, mesh, network, config, torch.Generator().manual_seed(seed))
 
 
 @pytest.mark.parametrize("pinned", ["frame", "body", "trunk"])
@@ -48,6 +49,18 @@ def test_without_jitter_pictures_are_those_of_the_decoupling_loss(body, waving, 
     drawn = draw(body, last, 1, replace(STILL, pinned=pinned)).images
     torch.testing.assert_close(drawn, expected, atol=1e-4, rtol=0)
     assert 100 < drawn.sum() < 2000
+
+
+@pytest.mark.parametrize("channels", [1, 3])
+def test_pictures_without_parts_are_those_of_the_decoupling_loss_too(body, waving, channels):
+    last = Poses(*(value[-1:] for value in poses_of([waving], body.rest_joints, "body")))
+    network = MAEConfig(width=32, depth=1, heads=2, channels=channels)
+    decoupler = Decoupler(body, MAE(network), replace(PAPER, pinned="body"))
+    clip = Clips(waving.rotations[None], waving.root[None])
+    expected = decoupler.see(clip, torch.tensor([[5]]), decoupler.cameras(clip, clip)).pictures
+    drawn = draw(body, last, 1, replace(STILL, pinned="body", parts_hidden=1.0), network=network)
+    assert drawn.images.shape == (1, channels, 64, 64) and drawn.shown.all()
+    torch.testing.assert_close(drawn.images, expected, atol=1e-4, rtol=0)
 
 
 def test_jitter_turns_moves_and_zooms(body, waving):

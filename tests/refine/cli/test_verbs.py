@@ -316,10 +316,10 @@ def test_outputs_that_are_there_are_refused_before_any_work(clips, tmp_path, cap
         (["train", "mae", "tiny", "--pictures.kept", "nan"], "PictureConfig(kept): expected 0.01 to 0.99, got nan"),
         (["train", "mae", "tiny", "--network.patch", "0"], "MAEConfig(patch): expected 1 to 4096, got 0"),
         (["train", "mae", "tiny", "--network.size", "60"], "a picture of 60 px has no whole patches of 8 px"),
-        (["train", "mae", "tiny", "--network.channels", "3"], "bodies are drawn in 1 or 6 channels, not 3"),
+        (["train", "mae", "tiny", "--network.channels", "2"], "3 (colours) or 6 (parts) channels, not 2"),
         (
             ["train", "mae", "tiny", "--network.channels", "1"],
-            "a plain silhouette cannot show limbs on a straight trunk",
+            "limbs on a straight trunk need a channel for each part, not 1",
         ),
         (["train", "mae", "tiny", "--out", "/dev/null/run"], "cannot be written (/dev/null is a file)"),
         (["train", "mae", "tiny", "--network.heads", "5"], "MAEConfig(width): 96 is not divisible by 4 and by 5 heads"),
