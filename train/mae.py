@@ -82,7 +82,8 @@ def first_weights(config: MAETraining) -> tuple[MAE, dict | None]:
     mae = load_mae(config.start).requires_grad_(True)
     if mae.config != config.network:
         raise UserError(config.start, f"holds {mae.config}", f"give the same network, not {config.network}")
-    return mae, json.loads(config.start.with_suffix(".json").read_text())
+    described = config.start.with_suffix(".json")
+    return mae, json.loads(described.read_text()) if described.is_file() else {"official": config.start.name}
 
 
 def drawing(body: Body, config: MAETraining):

@@ -31,7 +31,8 @@ class Compose:
     body: Path | None = None
     """Your SMPL file (.npz or .pkl) instead of the free body."""
     mae: Path | None = None
-    """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
+    """Weights of `refine train mae` (.safetensors), or an official MAE with its decoder (mae_visualize_*.pth, slow
+    without a graphics card), instead of the shipped ones."""
     report: Path | None = None
     """Folder for report.html, pictures of every stage and report.json; replaced as a whole with --force."""
     force: bool = False

@@ -27,7 +27,8 @@ class Demo:
     steps: int | None = None
     """Refinement steps; 0 only couples, None leaves their number to the engine."""
     mae: Path | None = None
-    """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
+    """Weights of `refine train mae` (.safetensors), or an official MAE with its decoder (mae_visualize_*.pth, slow
+    without a graphics card), instead of the shipped ones."""
     force: bool = False
     """Replace the folder if something is in it."""
     seed: int = 0

@@ -36,7 +36,8 @@ class Inspect:
     body: Path | None = None
     """Your SMPL file instead of the free body."""
     mae: Path | None = None
-    """Weights of `refine train mae` (.safetensors) instead of the shipped ones."""
+    """Weights of `refine train mae` (.safetensors), or an official MAE with its decoder (mae_visualize_*.pth, slow
+    without a graphics card), instead of the shipped ones."""
     force: bool = False
     """Replace the folder if something is in it."""
     seed: int = 0

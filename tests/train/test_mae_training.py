@@ -6,14 +6,14 @@ from dataclasses import replace
 import pytest
 import torch
 
-from refine.mae import MAEConfig, load_mae
+from refine.mae import MAE, MAEConfig, load_mae
 from refine.patches import patchify
 from renderers.checks import UserError
 from train.config import MAETraining
 from train.data import DataConfig
 from train.loop import LoopConfig
 from train.mae import fill_from_nearest, measure, train_mae
-from train.pictures import Pictures
+from train.pictures import PictureConfig, Pictures
 
 
 def config(folder, **changes) -> MAETraining:
@@ -154,6 +154,28 @@ def test_a_run_can_start_from_weights_and_says_so(trained, tmp_path):
     after = load_mae(tuned).state_dict()
     assert all(torch.allclose(value, after[name], atol=1e-6) for name, value in before.state_dict().items())
     assert json.loads(tuned.with_suffix(".json").read_text())["start"]["step"] == 30
+
+
+@pytest.mark.parametrize("normalisation", ["none", "imagenet"])
+def test_pictures_in_colours_are_learned(tmp_path, normalisation):
+    colours = replace(config(tmp_path).network, channels=3, normalisation=normalisation)
+    body = PictureConfig(pinned="body")
+    weights = train_mae(config(tmp_path / "run", network=colours, pictures=body))
+    held_out = json.loads(weights.with_suffix(".json").read_text())["held_out"]
+    assert held_out["total"] < 0.8 * json.loads((tmp_path / "run" / "log.jsonl").read_text().splitlines()[0])["total"]
+    assert load_mae(weights).config == colours
+
+
+def test_an_official_checkpoint_can_be_tuned(tmp_path):
+    official = MAE(
+        MAEConfig(32, 8, 3, 64, 1, 1, decoder_width=32, decoder_depth=1, decoder_heads=1, normalisation="imagenet")
+    )
+    torch.save({"model": official.state_dict()}, tmp_path / "mae.pth")
+    loop, body = LoopConfig(steps=1, learning_rate=1e-9), PictureConfig(pinned="body")
+    tuned = config(tmp_path / "run", start=tmp_path / "mae.pth", network=official.config, loop=loop, pictures=body)
+    weights = train_mae(tuned)
+    assert torch.allclose(load_mae(weights).norm.weight, official.norm.weight, atol=1e-6)
+    assert json.loads(weights.with_suffix(".json").read_text())["start"] == {"official": "mae.pth"}
 
 
 def test_weights_that_cannot_be_started_from_leave_nothing_behind(trained, tmp_path):

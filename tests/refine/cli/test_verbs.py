@@ -127,6 +127,19 @@ def test_inspect_judges_a_given_composition(clips, mae, tmp_path):
     assert "walk and wave-left-hand" in page
 
 
+def test_inspect_draws_what_an_official_network_sees(clips, tmp_path):
+    torch.manual_seed(0)
+    config = MAEConfig(32, 8, 3, 64, 1, 1, decoder_width=32, decoder_depth=1, decoder_heads=1, normalisation="imagenet")
+    torch.save({"model": MAE(config).state_dict()}, tmp_path / "mae.pth")
+    pair, out = [str(clips / "walk.bvh"), str(clips / "wave-left-hand.bvh")], tmp_path / "stages"
+    flags = ["-o", str(out), "--mae", str(tmp_path / "mae.pth"), "--frames", "1", "--steps", "1"]
+    assert main(["inspect", *pair, *flags]) == 0
+    assert set(json.loads((out / "report.json").read_text())["decoupling_loss"]) == {"coupled", "refined"}
+    with Image.open(next(out.glob("stages-*-refined.png"))) as picture:
+        red, green, blue = np.moveaxis(np.asarray(picture).astype(int), -1, 0)
+    assert ((red > 90) & (green < 10) & (blue < 10)).sum() > 50  # a left arm
+
+
 @pytest.mark.parametrize("style", ["shaded", "parts", "silhouette"])
 def test_render_draws_a_strip(clips, tmp_path, style):
     out = tmp_path / "walk.png"
