@@ -114,12 +114,14 @@ def read_source(
     labels: Collection[str] = (),
     front_only: bool = False,
     progress: Callable[[Sequence[Any]], Iterable[Any]] = iter,
+    label_pattern: str | None = None,
 ) -> Read:
     """Clips from a folder of motion files, a packed file, or one of ACTOR's packages.
 
     Args:
-        labels: of a package, the actions to read; none means all.
+        labels: of UESTC, the actions to read; none means all.
         front_only: of UESTC, the first camera alone.
+        label_pattern: of a folder of motion files, as ``import_folder`` takes it.
 
     Raises:
         UserError: there is no such source, or it cannot be read.
@@ -130,7 +132,7 @@ def read_source(
         wanted = {"labels": labels} if labels else {}
         return Read(read_uestc(path, rest_joints, front_only=front_only, progress=progress, **wanted), [])
     if path.is_dir():
-        imported = import_folder(path, rest_joints, progress=progress)
+        imported = import_folder(path, rest_joints, label_pattern, progress)
         return Read(imported.motions, imported.refused)
     return Read(load_clips(path), [])
 

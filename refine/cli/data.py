@@ -13,17 +13,20 @@ from renderers.checks import UserError
 class ImportData:
     """Read a folder of motion files, put them on SMPL's joints and pack them into one file.
 
-    Labels come from the file names. A file that cannot be read is left out and named on stderr.
+    Labels come from the file names. A file that cannot be read is left out and named on stderr. ACTOR's packages are
+    read as well: the file humanact12poses.pkl, and the folder uestc, which needs --labels, being large.
 
     Example: refine data import clips --out clips.npz
     """
 
     folder: Positional[Path]
-    """Folder that is searched, with its subfolders, for .bvh and .npz files."""
+    """Folder that is searched, with its subfolders, for .bvh and .npz files; or one of ACTOR's packages."""
     out: Annotated[Path, arg(aliases=["-o"])]
     """Packed file to write, .npz."""
     label_pattern: str | None = None
     """Regular expression for a whole file name without suffix, with a group (?P<label>...)."""
+    labels: tuple[str, ...] = ()
+    """Keep only clips with these labels; none means all."""
     force: bool = False
     """Replace the file if it is there."""
     seed: int = 0
@@ -36,23 +39,31 @@ class ImportData:
         from tqdm import tqdm
 
         from refine.cli.inputs import body_of, say
-        from refine.formats.clips import import_folder, save_clips
+        from refine.formats.actor import is_humanact
+        from refine.formats.clips import save_clips
+        from renderers.checks import check_known
         from renderers.outputs import refuse_existing
+        from train.recipes import read_source
 
-        if not self.folder.is_dir():
+        if not self.folder.is_dir() and not is_humanact(self.folder):
             raise UserError(self.folder, "is not a folder", "give a folder of motion files")
         if self.out.suffix != ".npz":
             raise UserError(self.out, "packed clips are an .npz file", "end its name in .npz")
         refuse_existing(self.out, self.force)
         progress = partial(tqdm, desc="import", disable=None, leave=False)
-        imported = import_folder(self.folder, body_of(None).rest_joints, self.label_pattern, progress)
+        imported = read_source(
+            self.folder, body_of(None).rest_joints, self.labels, progress=progress, label_pattern=self.label_pattern
+        )
         for error in imported.refused:
             say(f"refine: left out {error}")
-        save_clips(self.out, imported.motions)
-        counts = Counter(motion.label for motion in imported.motions)
+        for label in self.labels:
+            check_known(self.folder, label, sorted({motion.label for motion in imported.motions}))
+        motions = [motion for motion in imported.motions if not self.labels or motion.label in self.labels]
+        save_clips(self.out, motions)
+        counts = Counter(motion.label for motion in motions)
         for label, count in sorted(counts.items()):
             print(f"{count:5d}  {label}")
-        print(f"{self.out}  {len(imported.motions)} clips, {sum(map(len, imported.motions)):,} frames")
+        print(f"{self.out}  {len(motions)} clips, {sum(map(len, motions)):,} frames")
 
 
 @dataclass(frozen=True)
@@ -115,10 +126,9 @@ class BuildBenchmark:
             print(f"{self.out / name}  {file['clips']:,} clips, {file['frames']:,} frames")
         short = ", ".join(f"{count} {split}" for split, count in manifest["shorter_than_window"].items() if count)
         if short:
-            print(
-                f"shorter than {benchmark.frames} frames, and still in their last pose from there: {short} clips, in "
-                f"{manifest['padded_compositions']:,} compositions"
-            )
+            print(f"shorter than {benchmark.frames} frames, and still in their last pose from there: {short} clips")
+        if manifest["padded_compositions"]:
+            print(f"with such a clip: {manifest['padded_compositions']:,} compositions")
         for reason, count in manifest["rejected"].items():
             if count:
                 print(f"rejected as {reason}: {count:,} compositions")

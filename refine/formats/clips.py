@@ -10,13 +10,14 @@ import torch
 from torch import Tensor
 
 from refine.formats.files import SUFFIXES, label_from_name, load_motion
-from refine.formats.npz import read_npz
+from refine.formats.npz import MAX_BYTES, read_npz
 from refine.motion import Motion
 from renderers.checks import ShapeError, UserError, check_shapes
 from renderers.outputs import replacing
 from renderers.rotations import matrix_from_6d
 
 KEYS = ("six", "root", "lengths", "fps", "labels", "sources")
+FRAME_BYTES = 4 * (24 * 6 + 3)
 
 
 @dataclass(frozen=True)
@@ -66,6 +67,9 @@ def save_clips(path: str | Path, motions: Sequence[Motion]) -> None:
     """Write clips [T_c 24 6] and [T_c 3] end to end as float32, with their lengths, frame rates, labels and sources."""
     if not motions:
         raise UserError(path, "there are no clips to write", "import some first")
+    size = FRAME_BYTES * sum(map(len, motions))
+    if size > MAX_BYTES:
+        raise UserError(path, f"would take {size:,} bytes, more than the {MAX_BYTES:,} that are read", "choose fewer")
     with replacing(path) as partial, partial.open("wb") as stream:
         np.savez(
             stream,

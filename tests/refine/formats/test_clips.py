@@ -72,6 +72,13 @@ def test_no_clips_are_refused(tmp_path):
         save_clips(tmp_path / "clips.npz", [])
 
 
+def test_more_than_can_be_read_back_is_not_written(tmp_path, clips, monkeypatch):
+    monkeypatch.setattr("refine.formats.clips.MAX_BYTES", 12 * 588 - 1)
+    with pytest.raises(UserError, match=r"clips.npz: would take 7,056 bytes, more than the 7,055 that are read"):
+        save_clips(tmp_path / "clips.npz", clips)
+    assert not list(tmp_path.iterdir())
+
+
 def test_another_npz_is_refused(tmp_path, clips, rest_joints):
     save_motion(clips[0], tmp_path / "one.npz", rest_joints)
     with pytest.raises(UserError, match=r"one.npz: is not a file of clips .*'refine data import'"):
