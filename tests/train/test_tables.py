@@ -122,8 +122,8 @@ class TestComparison:
         assert cells(text, "high")[2].startswith("**71.0**") and "**" not in cells(text, "low")[2]
 
     def test_real_motions_do_not_compete_but_say_what_is_near(self):
-        close, wild = {"diversity": [28.0, 28.1, 28.2]}, {"diversity": [40.0, 40.1, 40.2]}
-        rows = trained("close", **close) + trained("wild", **wild)
+        close, tame = {"diversity": [28.0, 28.1, 28.2]}, {"diversity": [20.0, 20.1, 20.2]}
+        rows = trained("close", **close) + trained("tame", **tame)
         assert "**" not in comparison_table(rows)
         text = comparison_table([evaluation(REAL, 0, diversity=[30.0]), *rows])
         assert cells(text, "close")[2].startswith("**28.10**")
