@@ -17,7 +17,7 @@ from refine.ownership import Owned, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
 from refine.seeing import Clips, Pinning, Seen, check_drawn, draw, flesh, joints_to_draw, mesh_to_draw, pin, reach
 from renderers.body import Body
-from renderers.camera import Camera, frame
+from renderers.camera import Camera, frame_each
 from renderers.checks import UserError, check_shapes
 from renderers.silhouette import blur
 from renderers.skeleton import DRAWN_PART_NAMES
@@ -94,6 +94,11 @@ def take_frames(values: Tensor, frames: Tensor) -> Tensor:
     return values[torch.arange(len(frames), device=frames.device)[:, None], frames]
 
 
+def take(camera: Camera, index: Tensor) -> Camera:
+    """The cameras at ``index``; a single one serves all."""
+    return camera if len(camera) == 1 else camera[index.to(camera.focal.device)]
+
+
 class Decoupler(nn.Module):
     """Eq. 7 as a module around a body and a frozen MAE; without a configuration ours, as far as its pictures allow.
 
@@ -129,20 +134,25 @@ class Decoupler(nn.Module):
         return self.compare(self.see(composed, frames, cameras), self.references(i, j, frames, cameras))
 
     def cameras(self, *motions: Clips) -> list[Camera]:
-        """One camera for each view, for all bodies of a call: they see every usual pose, and ``motions`` whole."""
-        points = torch.cat([reach(self.body.rest_joints, self.config.pinned), *map(self.box, motions)])
-        return [frame(points, self.size, yaw=math.radians(yaw), margin=0.0) for yaw in self.config.views]
+        """B cameras for each view: one for each clip of ``motions``, which sees every usual pose and, of all motions,
+        that clip whole. What a pair's loss is does not hang on the other pairs of a batch."""
+        usual = reach(self.body.rest_joints, self.config.pinned)
+        points = torch.cat([usual.expand(len(motions[0].root), -1, -1), *map(self.box, motions)], dim=1)
+        return [frame_each(points, self.size, yaw=math.radians(yaw), margin=0.0) for yaw in self.config.views]
 
     @torch.no_grad()
     def box(self, clips: Clips) -> Tensor:
-        """[8 3] metres: corners of an upright box about motions as drawn: joints, the flesh on them, and `SPARE`."""
+        """[B 8 3] metres: corners of upright boxes about motions as drawn: joints, the flesh on them, and `SPARE`."""
         rotations, root = (value.flatten(0, 1) for value in pin(clips, self.config.pinned))
         joints, around = joints_to_draw(self.body, rotations, root, self.config.pinned), self.flesh[:, None] + SPARE
-        low, high = (joints - around).amin((0, 1)), (joints + around).amax((0, 1))
-        return torch.cartesian_prod(*torch.stack([low, high], dim=1))
+        joints = joints.unflatten(0, clips.root.shape[:2])
+        low, high = (joints - around).amin((1, 2)), (joints + around).amax((1, 2))
+        upper = torch.cartesian_prod(*[torch.tensor([False, True])] * 3).to(low.device)
+        return torch.where(upper, high[:, None], low[:, None])
 
     def see(self, clips: Clips, frames: Tensor, cameras: list[Camera]) -> Seen:
-        """Draw the frames [B K] of motions in every view; differentiable in the motions."""
+        """Draw the frames [B K] of motions in every view, by one camera or one for each motion; differentiable in the
+        motions."""
         check_shapes(
             "Decoupler.see",
             rotations=(clips.rotations, "B T 24 3 3"),
@@ -150,10 +160,16 @@ class Decoupler(nn.Module):
             frames=(frames, "B K"),
         )
         rotations, root = (take_frames(value, frames) for value in pin(clips, self.config.pinned))
-        bodies = zip(rotations.flatten(0, 1).split(CHUNK), root.flatten(0, 1).split(CHUNK), strict=True)
+        clip = torch.arange(len(frames)).repeat_interleave(frames.shape[1])
+        bodies = zip(
+            *(value.split(CHUNK) for value in (rotations.flatten(0, 1), root.flatten(0, 1), clip)), strict=True
+        )
         mesh = self.mesh.to(root.device)
         channels = self.mae.config.channels
-        seen = [draw(self.body, mesh, *some, cameras, self.config.pinned, channels) for some in bodies]
+        seen = [
+            draw(self.body, mesh, *some, [take(camera, of) for camera in cameras], self.config.pinned, channels)
+            for *some, of in bodies
+        ]
         return Seen(*(torch.cat(values) for values in zip(*seen, strict=True)))
 
     @torch.no_grad()

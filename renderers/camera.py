@@ -96,7 +96,6 @@ def cat(cameras: list[Camera]) -> Camera:
     return replace(first, **{name: torch.cat([getattr(camera, name) for camera in cameras]) for name in _TENSORS})
 
 
-@torch.no_grad()
 def frame(
     points: Tensor,
     size: tuple[int, int],
@@ -121,6 +120,20 @@ def frame(
         UserError: for no points, or a margin outside 0..0.5.
     """
     check_shapes("frame", points=(points, "... 3"))
+    return frame_each(points.reshape(1, -1, 3), size, yaw, elevation, margin, kind)
+
+
+@torch.no_grad()
+def frame_each(
+    points: Tensor,
+    size: tuple[int, int],
+    yaw: float = 0.0,
+    elevation: float = 0.0,
+    margin: float = 0.1,
+    kind: Kind = "weak",
+) -> Camera:
+    """N cameras, each of which frames its own of the N sets of points [N P 3]; see `frame`."""
+    check_shapes("frame", points=(points, "N P 3"))
     if points.numel() == 0:
         raise UserError("frame", "there are no points to frame")
     if not 0 <= margin < 0.5:
@@ -132,19 +145,19 @@ def frame(
             [-sin(yaw) * cos(elevation), -sin(elevation), -cos(yaw) * cos(elevation)],
         ]
     )
-    turned = points.reshape(-1, 3) @ rotation.T
-    low, high = turned.amin(0), turned.amax(0)
+    turned = points @ rotation.T
+    low, high = turned.amin(1), turned.amax(1)
     translation = -(low + high) / 2
     # Far enough that the nearest points span the field of view.
-    translation[2] = (high - low)[:2].amax() / (2 * tan(FIELD_OF_VIEW / 2)) - low[2] + NEAR
+    translation[:, 2] = (high - low)[:, :2].amax(1) / (2 * tan(FIELD_OF_VIEW / 2)) - low[:, 2] + NEAR
 
-    one = points.new_ones(1, 2)
-    camera = Camera(rotation[None], translation[None], one, 0 * one, size, kind)
-    plane = camera.project(points.reshape(1, -1, 3))[0]
-    low, high = plane.amin(0), plane.amax(0)
+    one = points.new_ones(len(points), 2)
+    camera = Camera(rotation.expand(len(points), -1, -1), translation, one, 0 * one, size, kind)
+    plane = camera.project(points)
+    low, high = plane.amin(1), plane.amax(1)
     sides = points.new_tensor([size[1], size[0]])
-    focal = ((1 - 2 * margin) * sides / (high - low).clamp(min=1e-6)).amin()
-    return replace(camera, focal=focal * one, centre=(sides / 2 - focal * (low + high) / 2)[None])
+    focal = ((1 - 2 * margin) * sides / (high - low).clamp(min=1e-6)).amin(1, keepdim=True)
+    return replace(camera, focal=focal * one, centre=sides / 2 - focal * (low + high) / 2)
 
 
 def _check_in_front(points: Tensor):

@@ -89,6 +89,7 @@ def test_pictures_run_clip_frame_view(body, mae):
 def test_a_view_of_ninety_degrees_sees_the_left_side(body, mae):
     front, left = Decoupler(body, mae, replace(PLAIN, views=(0.0, 90.0))).cameras(clips(0), clips(1))
     ahead, to_the_left = torch.eye(3)[None, None, 2], torch.eye(3)[None, None, 0]
+    ahead, to_the_left = (point.expand(2, 1, 3) for point in (ahead, to_the_left))  # a camera for each of two clips
     assert front.project(to_the_left)[0, 0, 0] > 40 and front.project(ahead)[0, 0, 0] == pytest.approx(32, abs=1e-3)
     assert left.project(ahead)[0, 0, 0] < 24 and left.project(to_the_left)[0, 0, 0] == pytest.approx(32, abs=1e-3)
 
@@ -186,6 +187,25 @@ def test_no_gradient_into_masked_patches(body, mae):
     trace.sides[0].loss.sum().backward()
     of_patches = patchify(pictures.grad, 8).abs().sum(-1)
     assert (of_patches[~trace.sides[0].kept] == 0).all() and (of_patches[trace.sides[0].kept] > 0).any()
+
+
+@pytest.mark.parametrize("mode", ["sequence", "trunk"])
+def test_a_pair_is_judged_alike_beside_any_other(body, mae, mode):
+    """The second pair's motions go far beyond where bodies usually are; the first one's camera must not follow."""
+    decoupler = Decoupler(body, mae, replace(PLAIN, pinned=mode))
+    sides = [clips(seed, ["left_elbow", "right_knee"]) for seed in range(3)]
+    for side in sides:
+        side.root[1] += torch.linspace(0, 6, side.root.shape[1])[:, None] * torch.tensor([1.0, 0.0, 0.5])
+    together = decoupler(*sides, FRAMES)
+    apart = [decoupler(*(Clips(*(v[n : n + 1] for v in side)) for side in sides), FRAMES[n : n + 1]) for n in range(2)]
+    expected = torch.stack([trace.loss for trace in apart]).mean()
+    torch.testing.assert_close(together.loss, expected, rtol=1e-6, atol=0)
+    for which in (0, 1):
+        pictures = torch.cat([trace.sides[which].inpainted for trace in apart])
+        torch.testing.assert_close(together.sides[which].inpainted, pictures, rtol=0, atol=1e-5)
+    if mode == "sequence":
+        near, far = (trace.composed.joints_px.std(1).mean() for trace in apart)
+        assert far < 0.8 * near  # each as large as its own path lets it
 
 
 def test_gradient_reaches_the_composition_alone(body, mae):

@@ -5,7 +5,7 @@ from math import pi
 import pytest
 import torch
 
-from renderers.camera import Camera, cat, frame
+from renderers.camera import Camera, cat, frame, frame_each
 from renderers.checks import UserError
 
 FRONT = torch.tensor([[1.0, 0.0, 0.0], [0.0, -1.0, 0.0], [0.0, 0.0, -1.0]], dtype=torch.float64)
@@ -89,6 +89,16 @@ def test_a_frame_holds_all_points_as_large_as_the_margin_lets(kind, size, yaw, e
     assert low.min().item() == pytest.approx(0.15) and high.max().item() == pytest.approx(0.85)
     torch.testing.assert_close(view.rotation[0] @ view.rotation[0].T, torch.eye(3, dtype=torch.float64))
     assert torch.linalg.det(view.rotation[0]).item() == pytest.approx(1)
+
+
+@pytest.mark.parametrize("kind", ["weak", "pinhole"])
+def test_framing_each_is_framing_one_by_one(kind, generator):
+    points = torch.randn(3, 20, 3, generator=generator) * torch.tensor([0.3, 1.0, 4.0])[:, None, None]
+    each = frame_each(points, (48, 64), 0.4, 0.2, 0.1, kind)
+    assert len(each) == 3
+    for one, own in zip(points, each.project(points), strict=True):
+        camera = frame(one, (48, 64), 0.4, 0.2, 0.1, kind)
+        torch.testing.assert_close(own, camera.project(one[None])[0], atol=1e-3, rtol=1e-6)
 
 
 @pytest.mark.parametrize("kind", ["weak", "pinhole"])
