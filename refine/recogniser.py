@@ -40,6 +40,9 @@ class RecogniserConfig:
     """Blocks of each width."""
     kernel: int = 9
     """Frames that a temporal convolution spans, odd."""
+    alike: tuple[tuple[str, ...], ...] = ()
+    """Groups of classes that it cannot tell apart by what it sees, as legs that march with or without punches: for
+    ``names`` one of them is as good as another."""
 
     def __post_init__(self):
         check_range(self, 1, 999, "kernel")
@@ -51,6 +54,8 @@ class RecogniserConfig:
             raise UserError("RecogniserConfig(graph)", f"{self.graph!r} is neither actor nor centripetal")
         if not self.widths or len(self.widths) != len(self.depths) or min(*self.widths, *self.depths) < 1:
             raise UserError("RecogniserConfig(widths)", f"{self.widths} do not go with depths {self.depths}")
+        for name in {name for group in self.alike for name in group}:
+            check_known("RecogniserConfig(alike)", name, self.classes)
         if self.kernel % 2 == 0:
             raise UserError("RecogniserConfig(kernel)", f"{self.kernel} is not odd, so it has no middle frame")
 
@@ -161,6 +166,14 @@ class Recogniser(nn.Module):
     def forward(self, six: Tensor) -> Tensor:
         return self.classify(self.features(six))
 
+    def names(self, logits: Tensor, classes: Tensor) -> Tensor:
+        """Whether logits [N C] are largest at the classes [N], or at one that is ``alike``: bool [N]."""
+        group = torch.arange(len(self.config.classes), device=logits.device)
+        for names in self.config.alike:
+            members = [self.config.classes.index(name) for name in names]
+            group[members] = members[0]
+        return group[logits.argmax(1)] == group[classes]
+
 
 class Recognised(NamedTuple):
     """features [N F] and logits [N C], float64."""
@@ -218,5 +231,5 @@ def both_actions(
         for name in {pair[side] for pair in pairs}:
             check_known("both_actions(labels)", name, [name for name in classes if name != OTHER])
         wanted = torch.tensor([classes.index(pair[side]) for pair in pairs], device=six.device)
-        right.append(features_of(recogniser, six, batch).logits.argmax(1) == wanted)
+        right.append(recogniser.names(features_of(recogniser, six, batch).logits, wanted))
     return BothActions(*right, right[0] & right[1])
