@@ -33,6 +33,9 @@ class NetworkConfig:
     memory: Literal["sum", "concat"] = "sum"
     """What the decoder looks at: the latent plus the label's bias as one token (ACTOR's final model), or each as a
     token of its own."""
+    standardise: bool = False
+    """Let the network read and write features less their mean and over their spread in training. ACTOR does neither:
+    most of a feature is constant, and thousands of steps pass before anything but the mean pose is learned."""
 
     def __post_init__(self):
         check_range(self, 1, math.inf, "latent", "feedforward", "heads", "layers")
@@ -46,8 +49,9 @@ class NetworkConfig:
 
 
 PAPER = NetworkConfig()
-SMALL = NetworkConfig(latent=128, feedforward=512, layers=3, dropout=0.0)
-TINY = NetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0)
+SMALL = NetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0, standardise=True)
+TINY = NetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0, standardise=True)
+SPREAD = 0.02  # added to every feature's: what hardly moves is not blown up
 
 
 @dataclass(frozen=True)
@@ -109,11 +113,20 @@ class Generator(nn.Module):
         self.read = nn.Linear(ROWS * FEATURES, config.latent)
         self.write = nn.Linear(config.latent, ROWS * FEATURES)
         self.dropout = nn.Dropout(config.dropout)
+        if config.standardise:
+            self.register_buffer("centre", torch.zeros(ROWS * FEATURES))
+            self.register_buffer("spread", torch.ones(ROWS * FEATURES))
         layer = (config.latent, config.heads, config.feedforward, config.dropout, "gelu")
         self.encoder = nn.TransformerEncoder(
             nn.TransformerEncoderLayer(*layer, batch_first=True), config.layers, enable_nested_tensor=False
         )
         self.decoder = nn.TransformerDecoder(nn.TransformerDecoderLayer(*layer, batch_first=True), config.layers)
+
+    def standardise(self, features: Tensor):
+        """Take centre and spread from features [B T 25 6] like those it will be trained on."""
+        flat = features.flatten(2).flatten(0, 1)
+        self.centre.copy_(flat.mean(0))
+        self.spread.copy_(flat.std(0) + SPREAD)
 
     def encode(self, features: Tensor, weights: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean and log variance, each [B D].
@@ -123,8 +136,11 @@ class Generator(nn.Module):
             weights: [B C] label weights, each row summing to 1.
             valid: [B T] True = a real frame.
         """
+        features = features.flatten(2)
+        if self.config.standardise:
+            features = (features - self.centre) / self.spread
         tokens = torch.stack([mix(weights, self.mean_tokens), mix(weights, self.variance_tokens)], dim=1)
-        sequence = torch.cat([tokens, self.read(features.flatten(2)).to(tokens.dtype)], dim=1)
+        sequence = torch.cat([tokens, self.read(features).to(tokens.dtype)], dim=1)
         sequence = self.dropout(sequence + positions(sequence.shape[1], sequence.shape[2]).to(sequence))
         hidden = torch.cat([torch.zeros_like(valid[:, :2]), ~valid], dim=1)
         encoded = self.encoder(sequence, src_key_padding_mask=hidden)
@@ -137,6 +153,8 @@ class Generator(nn.Module):
         memory = torch.stack([latent, bias] if self.config.memory == "concat" else [latent + bias], dim=1)
         queries = self.dropout(positions(frames, latent.shape[1]).to(latent).expand(len(latent), -1, -1))
         decoded = self.write(self.decoder(queries, memory, tgt_key_padding_mask=~valid))
+        if self.config.standardise:
+            decoded = self.centre + self.spread * decoded
         return decoded.unflatten(-1, (ROWS, FEATURES)) * valid[:, :, None, None]
 
     def forward(self, features: Tensor, weights: Tensor, valid: Tensor, noise: Tensor) -> Reconstruction:

@@ -9,6 +9,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
+from refine.coupling import couple_features
 from refine.decoupling import Decoupler
 from refine.generator import Generator, GeneratorConfig
 from refine.mae import load_mae
@@ -22,6 +23,7 @@ from train.processes import Processes, together
 from train.steps import Noise, Share, draw_noise, generator_step
 
 MEASURED = 3  # seed of what is drawn to measure with
+TYPICAL = 4  # seed of what is drawn to standardise by
 
 
 def train_generator(config: GeneratorTraining) -> Path:
@@ -58,7 +60,10 @@ class Training:
         with torch.random.fork_rng():
             torch.manual_seed(seed_of(config.loop.seed))
             network = GeneratorConfig.of(config.network, self.learned.classes, config.data.fps)
-            self.generator = Generator(network).to(device)
+            self.generator = Generator(network)
+        if network.standardise:
+            self.generator.standardise(self.typical())
+        self.generator.to(device)
         self.record = {
             "provenance": provenance(config.loop.seed, hash_motions(source.clips)),
             "data": {
@@ -72,6 +77,14 @@ class Training:
             "processes": processes.count,
         }
         self.learned, self.unseen = self.learned.to(device), self.unseen.to(device)
+
+    def typical(self) -> Tensor:
+        """Pseudo-compositions [B T 25 6], always the same ones."""
+        random = torch.Generator().manual_seed(TYPICAL)
+        data = self.config.data
+        drawn = self.learned.pairs(draw_batch(self.learned, self.pairs, 1024, data, random), data)
+        rest_joints = self.body.rest_joints.to(drawn.lam)
+        return couple_features(drawn.features_i, drawn.features_j, drawn.lam, rest_joints, self.config.coupling)
 
     def run(self) -> Path:
         config = self.config

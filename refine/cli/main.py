@@ -11,6 +11,7 @@ from refine.cli.check_renderer import CheckRenderer
 from refine.cli.compose import Compose
 from refine.cli.data import BuildBenchmark, ImportData
 from refine.cli.demo import Demo
+from refine.cli.evaluate import Evaluate
 from refine.cli.generate import Generate
 from refine.cli.inspect import Inspect
 from refine.cli.render import Render
@@ -34,6 +35,7 @@ def verbs() -> SubcommandApp:
     app.command(data, name="data", help="Prepare motion data.\n\nExample: refine data import clips --out clips.npz")
     app.command(train, name="train", help="Train the networks.\n\nExample: refine train mae tiny --out runs/mae")
     app.command(Generate, name="generate")
+    app.command(Evaluate, name="evaluate")
     app.command(CheckRenderer, name="check-renderer")
     return app
 

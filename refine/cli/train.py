@@ -69,6 +69,7 @@ class TrainGenerator:
     With `torchrun --nproc-per-node 2 -m refine.cli.main train generator ...` it is one run on two processes.
 
     Example: refine train generator tiny --data.source clips.npz --out runs/generator
+    Example: refine train generator small --data.source synth-c --variant without-dr --out runs/without-dr
     """
 
     config: Annotated[Any, arg(name="", constructor_factory=generator_presets)]
@@ -78,8 +79,9 @@ class TrainGenerator:
     def run(self) -> None:
         from train.generator import train_generator
         from train.processes import launched
+        from train.variants import as_variant
 
-        config: GeneratorTraining = checked(self.config, self.seed)
+        config: GeneratorTraining = as_variant(checked(self.config, self.seed))
         best = train_generator(config)
         if launched().first:
             print(best)
