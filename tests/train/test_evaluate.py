@@ -1,0 +1,191 @@
+"""Evaluation on a small benchmark: what is drawn, what is measured, and what is refused."""
+
+import json
+from dataclasses import replace
+
+import pytest
+import torch
+
+from refine.cli.main import main
+from refine.coupling import CouplingConfig, couple_features
+from refine.generator import TINY, Generator, GeneratorConfig
+from refine.motion import from_features, to_features
+from renderers.checks import UserError
+from renderers.rotations import matrix_to_6d
+from train.building import build_benchmark
+from train.config import GENERATOR_PRESETS
+from train.data import DataConfig
+from train.evaluate import EvaluationConfig, Judge, evaluate, generated, operated, repeat
+from train.generator import train_generator
+from train.recipes import synth_c
+from train.recogniser import RecogniserTraining, train_recognisers
+from train.tables import load_evaluation
+from train.variants import VARIANTS, as_variant
+
+NETWORK = replace(TINY, latent=16, feedforward=16, layers=1)
+ONCE = EvaluationConfig(repeats=1)
+
+
+@pytest.fixture(scope="module")
+def benchmark(rest_joints, tmp_path_factory):
+    """synth-c with two test clips of each action, and recognisers that have hardly learned anything."""
+    material = synth_c(rest_joints, seed=3, train=2, test=2, extra=0, seconds=2.5)
+    built = build_benchmark(tmp_path_factory.mktemp("benchmarks") / "synth-c", material, rest_joints, 3, "refine ...")
+    train_recognisers(built.folder, RecogniserTraining(widths=(4, 8), depths=(1, 1), epochs=3, learning_rate=1e-2))
+    return built
+
+
+@pytest.fixture(scope="module")
+def judge(benchmark, rest_joints):
+    return Judge(benchmark, rest_joints)
+
+
+def generator_for(benchmark, fps=30.0, classes=None):
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        classes = classes or tuple(sorted(benchmark.lower + benchmark.upper))
+        return Generator(GeneratorConfig.of(NETWORK, classes, fps)).eval()
+
+
+@pytest.fixture(scope="module")
+def run(benchmark, tmp_path_factory):
+    _, preset = GENERATOR_PRESETS["small"]
+    out = tmp_path_factory.mktemp("runs") / "run"
+    loop = replace(preset.loop, steps=2, save_every=2)
+    data = DataConfig(source=str(benchmark.folder))
+    train_generator(
+        as_variant(replace(preset, out=out, loop=loop, data=data, network=NETWORK, variant="without-dr", measured=4))
+    )
+    return out
+
+
+def test_test_compositions_are_perfect_by_every_measure_of_distance(judge):
+    masked = judge.measure(judge.compositions["mask"], torch.Generator())
+    assert max(masked["fid_c"], masked["fid_half"]) < 1e-9 < 1e-7 < masked["fid_true"]
+    true = judge.measure(judge.compositions["true"], torch.Generator())
+    assert true["fid_true"] < 1e-9 < 1e-7 < true["fid_c"]
+    assert true["nearest_true"] == true["covered_true"] == 0 < masked["nearest_true"]
+    assert true["both_actions"] <= min(true["legs"], true["arms"])
+
+
+def test_nearness_is_within_a_pair(judge):
+    joints, true = (judge.joints(judge.compositions[kind]) for kind in ("mask", "true"))
+    pairs = [(n, m) for n, label in enumerate(judge.labels) for m, other in enumerate(judge.labels) if other == label]
+    errors = {
+        at: float((joints[at[0]] - joints[at[0], :, :1] - true[at[1]] + true[at[1], :, :1]).norm(dim=-1)[:, 1:].mean())
+        for at in pairs
+    }
+    found = judge.nearness(joints)
+    for name, side in (("nearest_true", 0), ("covered_true", 1)):
+        best = [min(value for at, value in errors.items() if at[side] == n) for n in range(len(judge.labels))]
+        assert found[name] == pytest.approx(sum(best) / len(best), rel=1e-5)
+
+
+def test_the_operator_draws_new_windows_from_every_seed(judge):
+    first, again, other = (operated(judge)(torch.Generator().manual_seed(seed)).rotations for seed in (1, 1, 2))
+    assert first.shape == (len(judge.labels), 60, 24, 3, 3)
+    assert torch.equal(first, again) and not torch.equal(first, other)
+
+
+def test_the_operator_follows_the_order_of_the_test_set(judge):
+    """Legs that move much in the test set move much in the operator's sample."""
+    sample = operated(judge)(torch.Generator().manual_seed(0))
+    legs = sample.rotations[:, :, [1, 2, 4, 5]].diff(dim=1).square().sum((1, 2, 3, 4))
+    test = judge.compositions["mask"].rotations[:, :, [1, 2, 4, 5]].diff(dim=1).square().sum((1, 2, 3, 4))
+    assert torch.corrcoef(torch.stack([legs, test]))[0, 1] > 0.5
+
+
+def test_a_generator_makes_one_motion_a_test_composition(judge, benchmark):
+    sample = generated(generator_for(benchmark), judge, None, ONCE)(torch.Generator().manual_seed(1))
+    assert sample.rotations.shape[:2] == (len(judge.labels), 60)
+    small = generated(generator_for(benchmark), judge, None, EvaluationConfig(batch=7))(
+        torch.Generator().manual_seed(1)
+    )
+    assert not torch.equal(sample.rotations[0], sample.rotations[1])
+    assert torch.allclose(sample.rotations[:7], small.rotations[:7], atol=1e-5)
+
+
+def test_a_generator_of_single_actions_is_coupled(judge, benchmark, rest_joints):
+    generator = generator_for(benchmark)
+    coupled = generated(generator, judge, CouplingConfig(), ONCE)(torch.Generator().manual_seed(1))
+    # The same draws, coupled by hand: all of i first, then all of j.
+    random = torch.Generator().manual_seed(1)
+    features = []
+    for side in (0, 1):
+        labels = torch.zeros(len(judge.pairs), len(generator.config.classes))
+        for row, pair in enumerate(judge.pairs):
+            labels[row, generator.config.classes.index(pair[side])] = 1
+        latent = torch.randn(len(labels), NETWORK.latent, generator=random)
+        with torch.no_grad():
+            features.append(generator.decode(latent, labels, torch.ones(len(labels), 60, dtype=torch.bool)))
+    expected = couple_features(*features, torch.full((len(labels),), 0.5), rest_joints)
+    found = to_features(matrix_to_6d(coupled.rotations), coupled.root)
+    rotations, _ = from_features(expected)
+    assert torch.allclose(found[:, :, :24], matrix_to_6d(rotations), atol=1e-4)
+
+
+def test_every_repeat_has_a_seed_of_its_own(judge, benchmark):
+    sampler = generated(generator_for(benchmark), judge, None, ONCE)
+    values = repeat(sampler, judge, EvaluationConfig(repeats=2), "test")
+    assert values["fid_c"][0] != values["fid_c"][1]
+    assert repeat(sampler, judge, ONCE, "test")["fid_c"] == values["fid_c"][:1]
+
+
+def test_a_run_is_measured_and_told_apart_from_the_operator(run, benchmark):
+    found = evaluate(run, benchmark, ONCE)
+    assert (found.row, found.seed, found.n, found.benchmark) == ("without-dr", 10, 100, "synth-c")
+    assert found.metrics.keys() == found.real.keys() >= {"fid_c", "fid_true", "both_actions", "nearest_true", "jitter"}
+    assert found.real["nearest_true"][0] < found.metrics["nearest_true"][0]
+    assert set(found.hashes) == {"model", "benchmark", "mask", "half", "true", "legs", "arms"}
+
+
+def test_the_verb_writes_json_and_a_table_and_compares(run, benchmark, tmp_path, capsys):
+    out = tmp_path / "found.json"
+    call = ["evaluate", str(run), "--benchmark", str(benchmark.folder), "--repeats", "2", "-o", str(out)]
+    assert main(call) == 0
+    assert "FID-C" in capsys.readouterr().out
+    assert load_evaluation(out).metrics["fid_c"] and out.with_suffix(".md").read_text().startswith("## without-dr")
+    assert main(call) == 2 and "already there" in capsys.readouterr().err
+    other = tmp_path / "other.json"
+    other.write_text(json.dumps(json.loads(out.read_text()) | {"row": "with-dr"}))
+    assert main(["evaluate", "--table", str(out), str(other), "--against", "without-dr"]) == 0
+    assert "| with-dr |" in capsys.readouterr().out
+
+
+@pytest.mark.parametrize(
+    "arguments, words",
+    [
+        (["evaluate"], "takes one run and its --benchmark"),
+        (["evaluate", "--table"], "no evaluation was given"),
+        (["evaluate", "nowhere", "--benchmark", "nowhere"], "holds no benchmark"),
+    ],
+)
+def test_what_is_missing_is_one_line(arguments, words, capsys):
+    assert main(arguments) == 2
+    error = capsys.readouterr().err
+    assert words in error and error.count("\n") == 1
+
+
+def test_what_does_not_fit_is_refused(run, benchmark, judge, tmp_path):
+    with pytest.raises(UserError, match="makes 25 frames a second"):
+        generated(generator_for(benchmark, fps=25.0), judge, None, ONCE)
+    with pytest.raises(UserError, match="unknown name"):
+        generated(generator_for(benchmark, classes=("walk", "wave")), judge, None, ONCE)
+    empty = tmp_path / "empty"
+    empty.mkdir()
+    with pytest.raises(UserError, match="no such file"):
+        evaluate(empty, benchmark, ONCE)
+
+
+def test_every_row_changes_what_it_is_named_after_and_nothing_else():
+    _, preset = GENERATOR_PRESETS["small"]
+    rows = {name: as_variant(replace(preset, variant=name)) for name in VARIANTS}
+    assert {name for name, row in rows.items() if not row.loss.decoupling} == {
+        "pretrain-mask", "disentanglement", "without-mask", "without-gaussian", "all-classes", "without-dr"
+    }  # fmt: skip
+    assert len({repr(replace(row, variant="")) for row in rows.values()}) == len(rows)
+    for row in rows.values():
+        assert (row.loop, row.network, row.batch) == (preset.loop, preset.network, preset.batch)
+    assert as_variant(preset) is preset
+    with pytest.raises(UserError, match="did you mean without-dr"):
+        as_variant(replace(preset, variant="witout-dr"))
