@@ -61,9 +61,9 @@ def run(benchmark, tmp_path_factory):
 
 def test_test_compositions_are_perfect_by_every_measure_of_distance(judge):
     masked = judge.measure(judge.compositions["mask"], torch.Generator())
-    assert max(masked["fid_c"], masked["fid_half"]) < 1e-9 < 1e-7 < masked["fid_true"]
+    assert max(masked["fid_c"], masked["fid_half"]) < 1e-3 * masked["fid_true"]
     true = judge.measure(judge.compositions["true"], torch.Generator())
-    assert true["fid_true"] < 1e-9 < 1e-7 < true["fid_c"]
+    assert true["fid_true"] < 1e-3 * true["fid_c"]
     assert true["nearest_true"] == true["covered_true"] == 0 < masked["nearest_true"]
     assert true["both_actions"] <= min(true["legs"], true["arms"])
 
