@@ -18,7 +18,7 @@ from tqdm import tqdm
 
 from refine.recogniser import OTHER, Graph, Recogniser, RecogniserConfig, both_actions, features_of
 from renderers.checks import UserError, check_known, check_range
-from renderers.outputs import refuse_existing
+from renderers.outputs import check_place
 from train.benchmarks import Benchmark, load_benchmark
 from train.checkpoints import provenance, read_weights, replace_file, save_weights, to_json
 from train.lessons import KINDS, PARTS, Examples, Kind, Lesson, compositions_of, kinds_of, lesson_of
@@ -49,13 +49,13 @@ class RecogniserTraining:
     held_out: float = 0.2
     """Share of each action's clips that the recognisers of a part are not trained on."""
     alike: float = 0.25
-    """Two actions count as one for a part that mistakes this share of their held-out windows for the other; guessing
-    makes it a half."""
+    """Two actions count as one for a part that mistakes this share of their held-out windows for the other."""
     precision: Literal["float32", "bfloat16"] = "float32"
     """Of the products in training; bfloat16 is twice as fast where the processor knows it."""
     device: str = "cpu"
     """As torch names it, for example ``cuda``. Random numbers are the same on every device."""
     seed: int = 10
+    """Of weights, windows, order and of what is held out."""
 
     def __post_init__(self):
         check_range(self, 1, math.inf, "batch", "epochs", "patience")
@@ -108,14 +108,25 @@ def train_recognisers(folder: Path, config: RecogniserTraining, force: bool = Fa
     wanted = tuple(kind for kind in KINDS if kind in (config.kinds or kinds_of(benchmark)))
     if not {*wanted} <= {*kinds_of(benchmark)}:
         raise UserError(folder, "has no true compositions", "leave out the recogniser 'true'")
-    for kind in wanted:
-        refuse_existing(place_of(benchmark, kind).with_suffix(".json"), force)
+    refuse_trained(benchmark, wanted, force)
     records = {kind: train_one(benchmark, kind, config) for kind in wanted}
     parts = [place_of(benchmark, kind) for kind in PARTS]
     if {*wanted} & {*PARTS} and all(path.with_suffix(".json").is_file() for path in parts):
         described = {"benchmark": named(benchmark), **calibrate(benchmark, *map(load_recogniser, parts))}
         replace_file(parts[0].with_name("parts.json"), to_json(described))
     return records
+
+
+def refuse_trained(benchmark: Benchmark, wanted: tuple[Kind, ...], force: bool):
+    """Refuse, before any work is done, to train what is there or to write where nothing may be written."""
+    paths = {kind: place_of(benchmark, kind).with_suffix(".json") for kind in wanted}
+    there = [path for path in paths.values() if path.exists()]
+    if there and not force:
+        rest = " ".join(kind for kind, path in paths.items() if path not in there)
+        others = f", or the others with --kinds {rest}" if rest else ""
+        raise UserError(there[0], "is already there", f"train it again with --force{others}")
+    for path in paths.values():
+        check_place(path)
 
 
 def train_one(benchmark: Benchmark, kind: Kind, config: RecogniserTraining) -> dict[str, Any]:
@@ -137,6 +148,7 @@ def train_one(benchmark: Benchmark, kind: Kind, config: RecogniserTraining) -> d
     record = {
         "recogniser": kind,
         "benchmark": named(benchmark),
+        "classes": len(lesson.classes),
         "clips": lesson.clips,
         "epochs": len(history),
         "steps": len(history) * math.ceil(lesson.clips / config.batch),

@@ -16,6 +16,7 @@ from refine.cli.generate import Generate
 from refine.cli.inspect import Inspect
 from refine.cli.render import Render
 from refine.cli.train import TrainGenerator, TrainMAE
+from refine.cli.train_recogniser import TrainRecogniser
 from renderers.checks import UserError
 
 DESCRIPTION = "Compose two human actions into one motion and refine it with a differentiable renderer in the loop."
@@ -28,6 +29,7 @@ def verbs() -> SubcommandApp:
     data.command(BuildBenchmark, name="benchmark")
     train.command(TrainMAE, name="mae")
     train.command(TrainGenerator, name="generator")
+    train.command(TrainRecogniser, name="recogniser")
     app.command(Demo, name="demo")
     app.command(Compose, name="compose")
     app.command(Inspect, name="inspect")
