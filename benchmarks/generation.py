@@ -1,0 +1,95 @@
+"""LFCA's experiment whole: train every row of the table, measure it, and write what was found.
+
+    python benchmarks/generation.py --benchmark synth-c --rows without-dr with-dr --seeds 0 1 2
+
+For each row and seed it runs the commands that a user would (they are in the results), two at a time on one thread
+each; what is already there is not run again, and a run that was stopped goes on. ``--table`` only draws the table anew.
+"""
+
+import argparse
+import os
+import subprocess
+import sys
+from concurrent.futures import ThreadPoolExecutor
+from pathlib import Path
+
+from train.checkpoints import replace_file
+from train.tables import Evaluation, comparison_table, contrast_table, load_evaluation
+from train.variants import VARIANTS
+
+RESULTS = Path(__file__).parent / "results"
+CLAIMS = (("with-dr", "without-dr"), ("with-dr", "pretrain-mask"), ("dr-paper", "without-dr"))
+
+
+def refine(*arguments: object):
+    """Run the command line on one thread.
+
+    Raises:
+        RuntimeError: it failed.
+    """
+    command = [sys.executable, "-m", "refine.cli.main", *map(str, arguments)]
+    done = subprocess.run(command, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
+    if done.returncode:
+        raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
+
+
+def one(row: str, seed: int, args: argparse.Namespace) -> Path:
+    """Train one row with one seed and measure it; the evaluation's place among the results."""
+    name = f"{row}-{seed}"
+    run, found = args.runs / args.preset / name, place(args) / f"{name}.json"
+    if not (run / "done").exists():
+        resume = ["--resume"] if (run / "config.json").exists() else []
+        refine("train", "generator", args.preset, "--data.source", args.benchmark, "--variant", row, "--seed", seed,
+               "--out", run, *args.flags, *resume)  # fmt: skip
+        (run / "done").touch()
+    if not found.exists():
+        refine("evaluate", run, "--benchmark", args.benchmark, "--repeats", args.repeats, "-o", found)
+        found.with_suffix(".md").unlink()  # the table of all rows says the same
+    print(found, flush=True)
+    return found
+
+
+def place(args: argparse.Namespace) -> Path:
+    """The folder of a benchmark's and preset's results."""
+    return args.out / f"{args.benchmark.name}-{args.preset}"
+
+
+def tabulate(args: argparse.Namespace) -> str:
+    """All evaluations that there are, in the order of the rows, and the claims with their intervals."""
+    there = {path: load_evaluation(path) for path in sorted(place(args).glob("*.json"))}
+    order = list(VARIANTS)
+    evaluations: list[Evaluation] = sorted(there.values(), key=lambda each: (order.index(each.row), each.seed))
+    rows = {each.row for each in evaluations}
+    parts = [comparison_table(evaluations)]
+    parts += [contrast_table(evaluations, *claim, paired=False) for claim in CLAIMS if rows.issuperset(claim)]
+    return "\n".join(parts)
+
+
+def main() -> None:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--benchmark", type=Path, required=True, help="folder of `refine data benchmark`")
+    parser.add_argument("--rows", nargs="+", choices=list(VARIANTS), default=list(VARIANTS))
+    parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
+    parser.add_argument("--preset", default="small")
+    parser.add_argument("--repeats", type=int, default=20)
+    parser.add_argument("--runs", type=Path, default=Path("runs"), help="where runs are kept")
+    parser.add_argument("--out", type=Path, default=RESULTS, help="where results go")
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--table", action="store_true", help="only draw the table of what there is")
+    parser.add_argument("--flags", nargs=argparse.REMAINDER, default=[], help="more flags of the training, last")
+    args = parser.parse_args()
+    if not args.table:
+        place(args).mkdir(parents=True, exist_ok=True)
+        if not (args.benchmark / "recognisers").exists():
+            refine("train", "recogniser", "small", "--benchmark", args.benchmark)
+        tasks = [(row, seed) for seed in args.seeds for row in args.rows]
+        with ThreadPoolExecutor(args.workers) as pool:
+            for waiting in [pool.submit(one, *task, args) for task in tasks]:
+                waiting.result()
+    table = tabulate(args)
+    replace_file(place(args).with_suffix(".md"), table.encode())
+    print(table)
+
+
+if __name__ == "__main__":
+    main()
