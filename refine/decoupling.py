@@ -52,6 +52,9 @@ class DecouplingConfig:
     between limbs that do not overlap."""
     epsilon: float = 1.0
     """Pixels squared, in Eq. 6."""
+    precision: Literal["float32", "bfloat16"] = "float32"
+    """Of the MAE's products; bfloat16 is more than twice as fast where the processor knows it, and turns the gradient
+    by less than two degrees."""
 
 
 PAPER = DecouplingConfig(views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,))
@@ -97,6 +100,17 @@ def take_frames(values: Tensor, frames: Tensor) -> Tensor:
 def take(camera: Camera, index: Tensor) -> Camera:
     """The cameras at ``index``; a single one serves all."""
     return camera if len(camera) == 1 else camera[index.to(camera.focal.device)]
+
+
+def joined(*values: NamedTuple) -> NamedTuple:
+    """Named tuples of tensors, also within one another, as one: all rows of the first, then those of the next."""
+    first = values[0]
+    return torch.cat(values) if isinstance(first, Tensor) else type(first)(*map(joined, *values))
+
+
+def rows_of(value: NamedTuple, rows: slice | Tensor) -> NamedTuple:
+    """Some rows of every tensor in a named tuple, also within one another."""
+    return value[rows] if isinstance(value, Tensor) else type(value)(*(rows_of(one, rows) for one in value))
 
 
 class Decoupler(nn.Module):
@@ -192,24 +206,44 @@ class Decoupler(nn.Module):
         return by_standing(*turning, self.config.contested, self.config.quiet)
 
     def compare(self, composed: Seen, references: tuple[Reference, Reference]) -> Trace:
-        """Eqs. 5 to 7 on pictures that are already drawn."""
-        sides = tuple(self.complete(composed, reference) for reference in references)
+        """Eqs. 5 to 7 on pictures that are already drawn, both sides in one pass."""
+        count = len(composed.pictures)
+        twice, asked = joined(composed, composed), joined(*references)
+        chunks = [slice(start, start + CHUNK) for start in range(0, 2 * count, CHUNK)]
+        both = joined(*(self.complete(rows_of(twice, rows), rows_of(asked, rows)) for rows in chunks))
+        sides = rows_of(both, slice(count)), rows_of(both, slice(count, None))
         return Trace((sides[0].loss + sides[1].loss).mean(), composed, references, sides)
 
     def complete(self, composed: Seen, reference: Reference) -> Side:
-        """Keep what belongs to one sub-action, inpaint the rest, and compare with its own picture."""
+        """Keep what belongs to one sub-action, inpaint the rest, and compare with its own picture.
+
+        Where a gradient is wanted, pictures in which the sub-action answers for nothing are not inpainted, but left as
+        they are: their loss is 0 in any case.
+        """
         patch = self.mae.config.patch
         attention = self.attention(composed, reference)
         kept = keep_top(patch_means(attention, patch), self.config.kept)
         # What another action owns says nothing about this one, and the MAE knows pictures of single actions only.
         shown = composed.pictures * reference.owned.shown[..., None, None]
         visible = patchify(composed.pictures, patch)
-        predicted = torch.cat([self.mae(*some) for some in zip(shown.split(CHUNK), kept.split(CHUNK), strict=True)])
+        answering = reference.owned.answers.any(1)
+        if not torch.is_grad_enabled() or answering.all():
+            predicted = self.inpaint(shown, kept)
+        elif answering.any():
+            rows = answering.nonzero()[:, 0]
+            predicted = visible.index_copy(0, rows, self.inpaint(shown[rows], kept[rows]))
+        else:
+            predicted = visible
         inpainted = unpatchify(paste(visible, predicted, kept), patch, self.size)
         difference = inpainted - reference.seen.pictures
         blurred = [blur(difference, sigma) for sigma in self.config.blurs]
         errors = torch.stack([scale.square().mean((2, 3)) for scale in blurred]).mean(0)
         return Side(attention, kept, inpainted, (errors * reference.owned.answers).mean(1))
+
+    def inpaint(self, pictures: Tensor, kept: Tensor) -> Tensor:
+        """The MAE's patches, float32 in any precision."""
+        with torch.autocast(pictures.device.type, torch.bfloat16, self.config.precision == "bfloat16"):
+            return self.mae(pictures, kept).float()
 
     def attention(self, composed: Seen, reference: Reference) -> Tensor:
         """Eq. 6 at the joints that the configuration names, [N H W]."""

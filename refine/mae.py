@@ -22,7 +22,7 @@ from safetensors.torch import load_file
 from timm.models.vision_transformer import Block
 from torch import Tensor, nn
 
-from refine.patches import grid_of
+from refine.patches import grid_of, patchify
 from renderers.checks import ShapeError, UserError, check_known, check_range, check_shapes
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))  # mean and standard deviation of red, green, blue
@@ -77,14 +77,15 @@ def sincos_positions(width: int, grid: tuple[int, int]) -> Tensor:
 
 
 class PatchEmbed(nn.Module):
-    """Every patch through one linear map, as a strided convolution."""
+    """Every patch through one linear map, held as the strided convolution that it is over a whole picture."""
 
     def __init__(self, config: MAEConfig):
         super().__init__()
         self.proj = nn.Conv2d(config.channels, config.width, config.patch, config.patch)
 
-    def forward(self, images: Tensor) -> Tensor:
-        return self.proj(images).flatten(2).mT
+    def forward(self, patches: Tensor) -> Tensor:
+        """[N K D] as ``patches.patchify`` orders them -> [N K width]."""
+        return nn.functional.linear(patches, self.proj.weight.permute(0, 2, 3, 1).flatten(1), self.proj.bias)
 
 
 class MAE(nn.Module):
@@ -146,12 +147,16 @@ class MAE(nn.Module):
         counts = kept.sum(1)
         if (counts != counts[0]).any():
             raise ShapeError("MAE(kept)", f"rows keep {counts.min()} to {counts.max()} patches, expected equal numbers")
+        # The fused kernel's gradient is ten times slower in bfloat16 on a processor.
+        fused = images.device.type != "cpu" or not torch.is_autocast_enabled("cpu")
+        for block in (*self.blocks, *self.decoder_blocks):
+            block.attn.fused_attn = fused
         # The order among visible tokens is irrelevant; ascending order puts them back by a masked scatter.
         visible = kept.nonzero()[:, 1].reshape(len(kept), -1)
         if config.normalisation == "imagenet":
             images = (images - self.mean[:, None, None]) / self.std[:, None, None]
-        x = self.patch_embed(images) + self.pos_embed[:, 1:]
-        x = x.gather(1, visible[..., None].expand(-1, -1, x.shape[-1]))
+        patches = patchify(images, config.patch)[kept].unflatten(0, visible.shape)
+        x = self.patch_embed(patches) + self.pos_embed[0, 1:][visible]
         cls = (self.cls_token + self.pos_embed[:, :1]).expand(len(x), -1, -1)
         x = torch.cat([cls, x], dim=1)
         for block in self.blocks:

@@ -7,12 +7,11 @@ from typing import NamedTuple
 import torch
 from torch import Tensor
 
-from refine.decoupling import Decoupler, Reference, Trace
+from refine.decoupling import Decoupler, Reference, Trace, rows_of
 from refine.energies import spread_to_joints
 from refine.metrics import FEET, planted_feet
 from refine.motion import Motion, crop
-from refine.ownership import Owned
-from refine.seeing import Clips, Seen
+from refine.seeing import Clips
 from renderers.checks import UserError
 from renderers.rotations import matrix_from_6d
 from renderers.skeleton import DRAWN_PARTS, JOINT_NAMES, PARTS, forward_kinematics, part_of_joint
@@ -144,7 +143,7 @@ class Problem(NamedTuple):
         clips = Clips(rotations[None], self.composed.root[None])
         seen = self.decoupler.see(clips, frames, self.cameras[views])
         rows = (frames[0, :, None] * len(self.cameras) + torch.arange(len(self.cameras))[views]).flatten()
-        return self.decoupler.compare(seen, tuple(take_rows(reference, rows) for reference in self.references))
+        return self.decoupler.compare(seen, tuple(rows_of(reference, rows) for reference in self.references))
 
     def terms(self, shares: Tensor, offsets: Tensor, frames: Tensor, view: int) -> dict[str, Tensor]:
         """Weighed loss terms; the decoupling loss is drawn for ``frames`` [1 K] in one view."""
@@ -158,13 +157,6 @@ class Problem(NamedTuple):
             "smooth": config.smooth * self.smoothed(offsets).diff(n=2, dim=0).square().sum() / offsets.numel(),
             "feet": config.feet * (moved[:, FEET].square().sum(-1) * self.planted).mean(),
         }
-
-
-def take_rows(reference: Reference, rows: Tensor) -> Reference:
-    """The pictures ``rows`` of a reference."""
-    seen = Seen(*(value[rows] for value in reference.seen))
-    owned = Owned(*(value[rows] for value in reference.owned))
-    return Reference(seen, reference.energies[rows], owned)
 
 
 def answered_joints(references: tuple[Reference, Reference]) -> Tensor:

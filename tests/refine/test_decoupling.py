@@ -5,9 +5,10 @@ from dataclasses import replace
 import pytest
 import torch
 
+from refine import decoupling
 from refine.attention import attention_map
 from refine.decoupling import PAPER, Decoupler, DecouplingConfig
-from refine.mae import MAE, MAEConfig
+from refine.mae import MAE, MAEConfig, load_mae
 from refine.patches import patchify
 from refine.seeing import Clips, coloured
 from renderers.body import Body
@@ -140,7 +141,70 @@ def test_the_inpainter_sees_no_part_that_the_other_action_owns(body, mae):
     Decoupler(body, mae, replace(PLAIN, ownership="standing"))(clips(0), *subs, FRAMES)
     hook.remove()
     arms = [DRAWN_PART_NAMES.index(name) for name in ("left_arm", "right_arm")]
-    assert [(shown[:, arms].amax((0, 2, 3)) > 0).tolist() for shown in images] == [[True, False], [False, True]]
+    sides = torch.cat(images).chunk(2)
+    assert [(shown[:, arms].amax((0, 2, 3)) > 0).tolist() for shown in sides] == [[True, False], [False, True]]
+
+
+def test_both_sides_in_chunks_are_each_side_alone(body, mae, monkeypatch):
+    """Chunks may end anywhere, also across the two sides."""
+    decoupler = Decoupler(body, mae, replace(PLAIN, views=(0.0, 90.0)))
+    composed, i, j = clips(0), clips(1), clips(2, ["right_elbow"])
+    cameras = decoupler.cameras(composed, i, j)
+    seen, references = decoupler.see(composed, FRAMES, cameras), decoupler.references(i, j, FRAMES, cameras)
+    monkeypatch.setattr(decoupling, "CHUNK", 3)
+    trace = decoupler.compare(seen, references)
+    for side, reference in zip(trace.sides, references, strict=True):
+        alone = decoupler.complete(seen, reference)
+        for name, value in side._asdict().items():
+            torch.testing.assert_close(value, getattr(alone, name), rtol=1e-4, atol=1e-6)
+
+
+def test_what_is_not_asked_about_is_inpainted_for_looking_alone(body, mae):
+    """The second pair's sub-actions both swing the left arm, which is nobody's: its loss is 0, and so its gradient."""
+    decoupler = Decoupler(body, mae, replace(PLAIN, ownership="standing"))
+    i, j = clips(1, ["left_shoulder"]), clips(2, ["right_shoulder"])
+    j = Clips(*(torch.stack([mine[0], others[1]]) for mine, others in zip(j, i, strict=True)))
+    composed = clips(0)
+    rotations = composed.rotations.requires_grad_()
+    pictures = []
+    hook = mae.register_forward_pre_hook(lambda _, inputs: pictures.append(len(inputs[0])))
+    trace = decoupler(composed, i, j, FRAMES)
+    with torch.no_grad():
+        looked = decoupler(composed, i, j, FRAMES)
+    hook.remove()
+    assert pictures == [4, 8]
+    for side, whole in zip(trace.sides, looked.sides, strict=True):
+        torch.testing.assert_close(side.loss, whole.loss, rtol=1e-4, atol=1e-9)
+        assert torch.allclose(side.inpainted[:2], whole.inpainted[:2], atol=1e-5)
+        assert torch.equal(side.inpainted[2:], trace.composed.pictures[2:])
+        assert not torch.equal(whole.inpainted[2:], trace.composed.pictures[2:])
+    trace.loss.backward()
+    assert rotations.grad[0].any() and not rotations.grad[1].any()
+
+
+def test_nothing_asked_is_no_loss(body, mae):
+    same = clips(1, ["left_shoulder"])
+    composed = clips(0)
+    composed.rotations.requires_grad_()
+    loss = Decoupler(body, mae, replace(PLAIN, ownership="standing"))(composed, same, same, FRAMES).loss
+    loss.backward()
+    assert float(loss.detach()) == 0 and not composed.rotations.grad.any()
+
+
+def test_bfloat16_turns_the_gradient_a_little(body):
+    """With the shipped network, whose gradient is what a motion follows."""
+    gradients = []
+    for precision in ("float32", "bfloat16"):
+        composed = clips(0, ["left_shoulder", "right_knee"])
+        composed.rotations.requires_grad_()
+        subs = clips(1, ["left_shoulder", "left_elbow"]), clips(2, ["right_knee", "left_hip"])
+        trace = Decoupler(body, load_mae(), DecouplingConfig(precision=precision))(composed, *subs, FRAMES)
+        assert trace.sides[0].inpainted.dtype == torch.float32
+        trace.loss.backward()
+        gradients.append((composed.rotations.grad.flatten(), float(trace.loss)))
+    (exact, loss), (rounded, near) = gradients
+    assert not torch.equal(exact, rounded) and near == pytest.approx(loss, rel=0.02)
+    assert torch.cosine_similarity(exact, rounded, 0) > 0.999
 
 
 def test_kept_patches_lie_where_the_action_moves(body, mae):
