@@ -1,16 +1,20 @@
 """The generator's program end to end on the built-in actions."""
 
 import json
+import math
+import re
 from dataclasses import replace
 
 import pytest
 import torch
 
-from refine.generator import TINY, generate_motions
+from refine.formats.clips import save_clips
+from refine.generator import TINY, Generator, generate_motions
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
 from renderers.body import Body
 from renderers.checks import UserError
+from renderers.rotations import axis_angle_to_matrix
 from train.checkpoints import save_weights
 from train.config import GENERATOR_PRESETS, MAE_PRESETS, GeneratorTraining
 from train.data import DataConfig
@@ -109,6 +113,76 @@ def test_unknown_labels_and_damaged_weights_are_refused(trained, mae, tmp_path):
     (tmp_path / "w.json").write_text(json.dumps(described))
     with pytest.raises(UserError, match="does not fit its description"):
         load_generator(tmp_path / "w.safetensors")
+
+
+def walking(frames: int) -> Motion:
+    random = torch.Generator().manual_seed(frames)
+    turns = axis_angle_to_matrix(0.3 * torch.randn(frames, 24, 3, generator=random))
+    return Motion(turns, torch.zeros(frames, 3), 30.0, "walk", f"walk-{frames}")
+
+
+@pytest.fixture
+def clips(tmp_path):
+    """A clip that is long enough and one that is not, and a wave."""
+    motions = [walking(frames) for frames in (15, 40)]
+    save_clips(tmp_path / "clips.npz", [*motions, replace(walking(50), label="wave", source="wave-50")])
+    return DataConfig(source=str(tmp_path / "clips.npz"), lower=("walk",), upper=("wave",), frames=20, held_out=0.0)
+
+
+PLAIN = GeneratorLoss(decoupling=0.0)
+
+
+def test_short_clips_are_counted_and_said(clips, mae, tmp_path, capsys):
+    brief = LoopConfig(steps=2, save_every=2)
+    train_generator(config(tmp_path / "run", mae, data=clips, loss=PLAIN, loop=brief))
+    assert "refine: 1 of 3 clips are shorter than 20 frames" in capsys.readouterr().err
+    described = json.loads((tmp_path / "run" / "best.json").read_text())
+    assert described["data"]["clips"] == 3 and described["data"]["short_clips"] == 1
+    assert described["processes"] == 1
+
+
+def test_a_run_on_other_clips_is_not_resumed(clips, mae, tmp_path):
+    whole = config(tmp_path / "run", mae, data=clips, loss=PLAIN, loop=LoopConfig(steps=2, save_every=2))
+    train_generator(whole)
+    save_clips(tmp_path / "clips.npz", [walking(41), replace(walking(50), label="wave")])
+    with pytest.raises(UserError, match=r"last.json: is of a run on other clips; give the same"):
+        train_generator(replace(whole, resume=True))
+
+
+def test_the_pairs_that_a_step_broke_on_are_named(clips, mae, tmp_path, monkeypatch):
+    """The generator breaks on walk-40 alone: only its pairs are named, with their first frames."""
+    whole = config(tmp_path / "run", mae, data=clips, loss=PLAIN, loop=LoopConfig(steps=6, save_every=2))
+    encode, steps = Generator.encode, []
+
+    def breaking(self, features, weights, valid):
+        mean, log_variance = encode(self, features, weights, valid)
+        steps.append(self.training)
+        return mean * torch.where(valid.all(1) & (sum(steps) > 3), math.inf, 1.0)[:, None], log_variance
+
+    monkeypatch.setattr(Generator, "encode", breaking)
+    with pytest.raises(UserError) as caught:
+        train_generator(whole)
+    message = str(caught.value)
+    assert message.startswith("step 3: the term ") and "walk-15" not in message and "\n" not in message
+    assert re.search(r"became (nan|inf) on walk \(walk-40 from frame \d+\) \+ wave \(wave-50 from frame \d+\)", message)
+    assert f"the last good checkpoint is {tmp_path / 'run' / 'state.safetensors'}" in message
+    assert json.loads((tmp_path / "run" / "last.json").read_text())["step"] == 2
+
+
+def test_half_precision_trains_and_measures(mae, tmp_path, trained):
+    train_generator(config(tmp_path / "run", mae, precision="bfloat16"))
+    ours, exact = terms(tmp_path / "run"), terms(trained)
+    assert ours != exact
+    for name in ("rc", "rcxyz", "kl", "total"):
+        assert ours[-1][name] == pytest.approx(exact[-1][name], rel=0.1), name
+
+
+def test_actions_are_learned_alone_for_actor_itself(mae, tmp_path):
+    whole = config(tmp_path / "run", mae, loss=PLAIN)
+    data = replace(whole.data, pairs="single", actions=("drink",))
+    train_generator(replace(whole, data=data, loop=LoopConfig(steps=2, save_every=2)))
+    assert load_generator(tmp_path / "run").config.classes == ("drink", "squat", "walk", "wave-both-hands")
+    assert json.loads((tmp_path / "run" / "best.json").read_text())["data"]["pairs"] == 4
 
 
 def test_presets_are_complete():

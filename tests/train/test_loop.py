@@ -4,12 +4,14 @@ import json
 import math
 from dataclasses import dataclass, field, replace
 
+import numpy as np
 import pytest
 import torch
+from safetensors import safe_open
 from torch import nn
 
 from renderers.checks import UserError
-from train.loop import LoopConfig, fit, learning_rate, open_run, seed_of
+from train.loop import RULE, LoopConfig, check_loop, fit, learning_rate, open_run, seed_of, take_step
 
 
 @dataclass(frozen=True)
@@ -108,6 +110,90 @@ def test_a_loss_that_is_not_finite_stops_and_keeps_the_checkpoint(tmp_path):
     run(tmp_path / "five", 5)
     assert kept == {name: (tmp_path / "five" / name).read_bytes() for name in kept}
     assert len(rows(tmp_path / "run")) == 7
+
+
+def test_the_batch_of_a_bad_step_is_named(tmp_path):
+    model = Line()
+
+    def losses(step, random):
+        for terms in model.losses(step, random):
+            yield terms | {"total": terms["total"] * (math.inf if step == 2 else 1)}
+
+    message = r"step 2: the term 'total' became inf on batch 2; there is no checkpoint yet; lower --loop.learning-rate"
+    with pytest.raises(UserError, match=message):
+        fit(model, losses, LoopConfig(steps=5), tmp_path, "mae", {}, dict, describe=lambda step: f"batch {step}")
+
+
+def test_parts_of_a_step_are_summed(tmp_path):
+    """Terms, gradient and update of a step in three parts are those of their sum."""
+    weight = nn.Linear(1, 1, bias=False)
+    weight.weight.data.fill_(2.0)
+    optimiser = torch.optim.SGD(weight.parameters(), 0.0)
+
+    def losses(step, random):
+        for part in (1.0, 2.0, 4.0):
+            yield {"linear": part * weight.weight.sum(), "total": part * weight.weight.square().sum()}
+
+    row = take_step(weight, optimiser, losses, 0, torch.Generator(), LoopConfig())
+    assert row == {"linear": 14.0, "total": 28.0, "gradient": 28.0}
+    assert weight.weight.grad.item() == 28.0
+
+
+def test_the_state_says_what_the_sampler_goes_on_from(tmp_path):
+    run(tmp_path / "run", 10)
+    with safe_open(tmp_path / "run" / "state.safetensors", framework="pt") as file:
+        progress = json.loads(file.metadata()["progress"])
+    assert progress["sampler"] == {"seed": 10, "step": 10, "rule": RULE}
+    assert seed_of(10, 10, 0) == int(np.random.SeedSequence((10, 10, 0)).generate_state(1)[0])
+
+
+def test_tensorboard_is_refused_where_it_is_not_installed(monkeypatch):
+    monkeypatch.setattr("train.loop.find_spec", lambda name: None)
+    check_loop(LoopConfig())
+    with pytest.raises(
+        UserError, match=r"--loop.tensorboard: TensorBoard is not installed; pip install 'refine-motion"
+    ):
+        check_loop(LoopConfig(tensorboard=True))
+
+
+class Board:
+    """Stands for TensorBoard's writer."""
+
+    def __init__(self):
+        self.scalars, self.closed = [], False
+
+    def add_scalar(self, name, value, step):
+        self.scalars.append((name, step))
+
+    def close(self):
+        self.closed = True
+
+
+def test_tensorboard_is_told_every_logged_term(tmp_path, monkeypatch):
+    opened = []
+
+    def open_board(folder, first):
+        opened.append((folder, first, Board()))
+        return opened[-1][-1]
+
+    monkeypatch.setattr("train.loop.open_board", open_board)
+    run(tmp_path / "run", 4, tensorboard=True, save_every=2)
+    run(tmp_path / "run", 6, tensorboard=True, save_every=2, resume=True)
+    assert [(folder, first) for folder, first, _ in opened] == [(tmp_path / "run", 0), (tmp_path / "run", 4)]
+    assert all(board.closed for *_, board in opened)
+    names = [name for name, step in opened[0][2].scalars if step == 1]
+    assert names == ["error", "total", "gradient", "held_out/total"]
+    assert {step for _, step in opened[1][2].scalars} == {4, 5}
+
+
+def test_tensorboard_writes_what_it_is_told(tmp_path):
+    pytest.importorskip("tensorboard")
+    run(tmp_path / "run", 4, tensorboard=True)
+    from tensorboard.backend.event_processing.event_accumulator import EventAccumulator
+
+    events = EventAccumulator(str(tmp_path / "run" / "tensorboard")).Reload()
+    told = {event.step: event.value for event in events.Scalars("error")}
+    assert told == pytest.approx({row["step"]: row["error"] for row in rows(tmp_path / "run")}, rel=1e-6)
 
 
 def test_gradients_are_clipped(tmp_path):
