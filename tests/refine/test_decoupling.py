@@ -201,10 +201,29 @@ def test_bfloat16_turns_the_gradient_a_little(body):
         trace = Decoupler(body, load_mae(), DecouplingConfig(precision=precision))(composed, *subs, FRAMES)
         assert trace.sides[0].inpainted.dtype == torch.float32
         trace.loss.backward()
-        gradients.append((composed.rotations.grad.flatten(), float(trace.loss)))
+        gradients.append((composed.rotations.grad.flatten(), float(trace.loss.detach())))
     (exact, loss), (rounded, near) = gradients
     assert not torch.equal(exact, rounded) and near == pytest.approx(loss, rel=0.02)
     assert torch.cosine_similarity(exact, rounded, 0) > 0.999
+
+
+def test_without_the_path_through_the_mae_the_gradient_is_that_of_the_visible_pixels(body, mae):
+    """By hand: each visible pixel's difference, twice, over all pixels of the pictures; the loss itself stays."""
+    composed, i, j = clips(0), clips(1), clips(2, ["right_elbow"])
+    decoupler = Decoupler(body, mae, replace(PLAIN, through_mae=False))
+    cameras = decoupler.cameras(composed, i, j)
+    references = decoupler.references(i, j, FRAMES, cameras)
+    seen = decoupler.see(composed, FRAMES, cameras)
+    pictures = seen.pictures.requires_grad_()
+    trace = decoupler.compare(seen._replace(pictures=pictures), references)
+    trace.loss.backward()
+    expected = torch.zeros_like(patchify(pictures, 8))
+    for side, reference in zip(trace.sides, references, strict=True):
+        difference = patchify((pictures - reference.seen.pictures).detach(), 8)
+        expected += 2 * difference * side.kept[..., None] / pictures.numel()
+    torch.testing.assert_close(patchify(pictures.grad, 8), expected)
+    whole = Decoupler(body, mae, PLAIN).compare(seen, references).loss
+    torch.testing.assert_close(whole.detach(), trace.loss.detach())
 
 
 def test_kept_patches_lie_where_the_action_moves(body, mae):
