@@ -19,7 +19,6 @@ seconds, which is stated.
 import argparse
 import json
 import os
-import platform
 import shlex
 import statistics
 import sys
@@ -27,11 +26,11 @@ import tempfile
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, replace
-from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
 import torch
 from accuracy import errors, find_truth
+from machine import hardware, versions
 from peers import Peer, peers
 from renderer_tables import markdown
 from stages import decoupling_steps
@@ -245,7 +244,7 @@ def main() -> None:
         "command": shlex.join(["python", *sys.argv]),
         "commit": commit(),
         "hardware": hardware(args.device),
-        "versions": versions(),
+        "versions": versions(PACKAGES),
         "threads": args.threads,
         "plan": asdict(plan),
         "base": asdict(base),
@@ -264,23 +263,6 @@ def main() -> None:
         out.parent.mkdir(parents=True, exist_ok=True)
         out.write_text(json.dumps(report, indent=1) + "\n")
         out.with_suffix(".md").write_text(markdown(report))
-
-
-def hardware(device: str) -> str:
-    cpu = Path("/proc/cpuinfo")
-    names = [line.split(":")[1].strip() for line in cpu.read_text().splitlines() if line.startswith("model name")]
-    gpu = "" if device == "cpu" else f", {torch.cuda.get_device_name()}"
-    return f"{platform.machine()}, {os.cpu_count()} cores of {names[0] if names else platform.processor()}{gpu}"
-
-
-def versions() -> dict[str, str]:
-    found = {"python": platform.python_version()}
-    for package in PACKAGES:
-        try:
-            found[package] = version(package)
-        except PackageNotFoundError:
-            found[package] = "not installed"
-    return found
 
 
 if __name__ == "__main__":

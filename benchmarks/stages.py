@@ -7,7 +7,7 @@ made. What belongs to no stage (checks, energies, the optimiser's own terms, aut
 import statistics
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import ExitStack, contextmanager
 from unittest.mock import patch
 
@@ -27,13 +27,28 @@ from renderers.skeleton import PARTS
 
 FRAMES = 60
 WARM_UP = 2
+Watched = tuple[object, str, str]
+"""A function's owner, its name there, and the stage it counts as."""
+
 PATCHES = ("attention_map", "patch_means", "keep_top", "patchify", "unpatchify", "paste")
+
+
+def clock_of(device: str) -> Callable[[], float]:
+    """Seconds of wall time; on a GPU when all work that was asked for is done."""
+
+    def now() -> float:
+        if device != "cpu":
+            torch.cuda.synchronize()
+        return time.perf_counter()
+
+    return now
 
 
 class Stages:
     """Seconds of each stage of a step; stages inside others count for themselves alone."""
 
-    def __init__(self):
+    def __init__(self, device: str = "cpu"):
+        self.now = clock_of(device)
         self.forward, self.backward = Counter(), Counter()
         self._inside = [0.0]  # seconds of inner stages and their bookkeeping, for the step and each open stage
         self._stage_of = {}
@@ -41,14 +56,14 @@ class Stages:
     def wrap(self, stage: str, function: Callable) -> Callable:
         def timed(*args, **options):
             self._inside.append(0.0)
-            start = time.perf_counter()
+            start = self.now()
             result = function(*args, **options)
-            seconds = time.perf_counter() - start
+            seconds = self.now() - start
             self.forward[stage] += seconds - self._inside.pop()
-            start = time.perf_counter()
+            start = self.now()
             self._claim(stage, result, args)
             # The bookkeeping counts for no stage, this one or one around it.
-            self._inside[-1] += seconds + time.perf_counter() - start
+            self._inside[-1] += seconds + self.now() - start
             return result
 
         return timed
@@ -69,10 +84,10 @@ class Stages:
                 node.register_hook(lambda *_, node=node: self._end(node))
 
     def _begin(self):
-        self._start = time.perf_counter()
+        self._start = self.now()
 
     def _end(self, node):
-        self.backward[self._stage_of[node]] += time.perf_counter() - self._start
+        self.backward[self._stage_of[node]] += self.now() - self._start
 
     def seconds(self, forward: float, backward: float) -> dict[str, tuple[float, float]]:
         """Forward and backward of each stage and, from the whole step's, of the rest."""
@@ -94,9 +109,9 @@ def tensors(values: object) -> Iterator[Tensor]:
 
 
 @contextmanager
-def watched(judge: Decoupler) -> Iterator[Stages]:
-    """Time the stages of everything that ``judge`` does meanwhile."""
-    stages = Stages()
+def watched(judge: Decoupler, device: str = "cpu", others: Iterable[Watched] = ()) -> Iterator[Stages]:
+    """Time the stages of everything that ``judge`` does meanwhile, and of other functions."""
+    stages = Stages(device)
     with ExitStack() as patches:
         for owner, name, stage in (
             (judge.body, "forward", "body"),
@@ -105,6 +120,7 @@ def watched(judge: Decoupler) -> Iterator[Stages]:
             (judge.mae, "forward", "MAE"),
             (decoupling, "blur", "blur"),
             *((decoupling, name, "attention, patches") for name in PATCHES),
+            *others,
         ):
             patches.enter_context(patch.object(owner, name, stages.wrap(stage, getattr(owner, name))))
         fold = stages.wrap("renderer", silhouette.BACKENDS["fold"])
@@ -123,9 +139,14 @@ def shares(judge: Decoupler, loss: Callable[[], Tensor], repeats: int) -> dict[s
             value.backward()
             end = time.perf_counter()
         found.append(stages.seconds(middle - start, end - middle))
+    return medians(found[WARM_UP:])
+
+
+def medians(steps: list[dict[str, tuple[float, float]]]) -> dict[str, dict[str, float]]:
+    """Of several steps' `Stages.seconds` the median milliseconds of each stage and its share of their sum."""
     rows = {}
-    for stage in found[0]:
-        forward, backward = (1e3 * statistics.median(step[stage][way] for step in found[WARM_UP:]) for way in (0, 1))
+    for stage in steps[0]:
+        forward, backward = (1e3 * statistics.median(step[stage][way] for step in steps) for way in (0, 1))
         rows[stage] = {"forward": forward, "backward": backward}
     total = sum(row["forward"] + row["backward"] for row in rows.values())
     return {stage: row | {"share": (row["forward"] + row["backward"]) / total} for stage, row in rows.items()}
