@@ -179,7 +179,8 @@ def build(path: Path, tensors: dict[str, Tensor], description: dict[str, Any]) -
     try:
         # JSON knows no tuples.
         stored = {name: hashable(value) for name, value in description["config"].items()}
-        recogniser = Recogniser(RecogniserConfig(**stored))
+        with torch.random.fork_rng(devices=[]):  # the weights that are drawn are not those that stay
+            recogniser = Recogniser(RecogniserConfig(**stored))
         recogniser.load_state_dict(tensors)
     except (KeyError, TypeError, AttributeError, RuntimeError, UserError) as error:
         reason = str(error).splitlines()[0]
@@ -198,15 +199,17 @@ def load_recognisers(benchmark: Benchmark) -> dict[str, Recogniser]:
     Raises:
         UserError: one is missing or damaged, or was trained on other data than the benchmark's.
     """
-    remedy = f"train them with `refine train recogniser small --benchmark {benchmark.folder}`"
+    command = f"refine train recogniser small --benchmark {benchmark.folder}"
     found = {}
     for kind in kinds_of(benchmark):
         path = place_of(benchmark, kind)
         if not path.with_suffix(".json").is_file():
-            raise UserError(path, "there is no such recogniser", remedy)
+            raise UserError(path, "there is no such recogniser", f"train it with `{command}`")
         tensors, description = read_weights(path, "recogniser")
         if description.get("benchmark", {}).get("hash") != benchmark.hash:
-            raise UserError(path, "is a recogniser that does not fit the data of the benchmark", f"{remedy} --force")
+            raise UserError(
+                path, "was trained on other data than the benchmark's", f"train it again with `{command} --force`"
+            )
         found[kind] = build(path, tensors, description)
     return found
 
