@@ -3,7 +3,7 @@
 import json
 import math
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
 from typing import Any, Literal, Self
@@ -58,6 +58,7 @@ METRICS = {
     "multimodality": Metric("multimodality", "real"),
     "multimodality_exact": Metric("multimodality, all pairs", "real"),
     "nearest_true": Metric("error to nearest true", "lower", "cm", 100),
+    "covered_true": Metric("error of true to nearest", "lower", "cm", 100),
     "foot_skate": Metric("foot skate", "lower", "m/s", 1, 3),
     "floor_penetration": Metric("floor penetration", "lower", "cm", 100),
     "jitter": Metric("jitter", "real", "m/s³", 1, 1),
@@ -73,11 +74,13 @@ CAUTION = (
 OVER_REPEATS = (
     "Repeats draw new motions from one trained model: sd and the 95 % interval (Student's t) tell how exactly this "
     "model is measured, not how another training would turn out. `actor_pm` is 1.96 times the variance, as ACTOR "
-    "prints after ±."
+    "prints after ±. Real against real: compositions that the mask operator makes of training clips, as many, measured "
+    "in the same way; nothing is learned."
 )
 OVER_SEEDS = (
     "Mean over training seeds of the mean over repeats, with its 95 % interval (Student's t over seeds; none for one "
-    "seed). Bold: better than all others, and its interval excludes theirs (the means of rows with one seed)."
+    "seed). Bold: better than all others, and its interval excludes theirs (the means of rows with one seed). Real: "
+    "compositions that the mask operator makes of training clips, as many; they do not compete."
 )
 
 
@@ -86,7 +89,7 @@ class Evaluation:
     """What one trained model was measured at."""
 
     row: str
-    """The method, as tables name it; ``REAL`` for real motions against real ones."""
+    """The method, as tables name it; ``REAL`` for compositions of real clips."""
     seed: int
     """Of the training."""
     benchmark: str
@@ -95,7 +98,7 @@ class Evaluation:
     metrics: dict[str, list[float]]
     """Values of each measure, one a repeat, in metres, seconds and shares of 1."""
     real: dict[str, list[float]] = field(default_factory=dict)
-    """The same of real motions at equal n, where there are such."""
+    """The same of compositions of real clips that are not in the test set, at equal n."""
     versions: dict[str, str] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
     """SHA-256 of what was measured, ``model``, and of what measured it: benchmark, recognisers. Rows of one table must
@@ -213,13 +216,17 @@ def comparison_table(evaluations: Sequence[Evaluation], metrics: Sequence[str] |
     """Methods beside each other over training seeds, and below them the figures that the paper prints.
 
     Args:
-        evaluations: one a method and seed, all of one benchmark, N and recognisers; methods come in this order.
+        evaluations: one a method and seed, all of one benchmark, N and recognisers; methods come in this order, after
+            a row ``REAL`` of what the first of them measured beside its model.
         metrics: those to show; all that were measured, unless given.
 
     Raises:
         UserError: there are none, they do not belong in one table, or a method has a seed twice.
     """
     rows = by_row(evaluations)
+    beside = next((each for each in evaluations if each.real), None)
+    if beside and REAL not in rows:
+        rows = {REAL: [replace(beside, row=REAL, metrics=beside.real)], **rows}
     names = in_order(name for each in evaluations for name in each.metrics) if metrics is None else list(metrics)
     columns = {name: {row: [*over_seeds(name, group).values()] for row, group in rows.items()} for name in names}
     winners = {name: best(metric_of(name), column) for name, column in columns.items()}
@@ -234,7 +241,10 @@ def comparison_table(evaluations: Sequence[Evaluation], metrics: Sequence[str] |
         return text if found["ci95"] is None else f"{text} {interval(metric, found['ci95'])}"
 
     head = ["", "seeds", *(metric_of(name).head for name in names)]
-    body = [[row, f"{len(group)}", *(cell(name, row) for name in names)] for row, group in rows.items()]
+    body = [
+        [row, NONE if row == REAL else f"{len(group)}", *(cell(name, row) for name in names)]
+        for row, group in rows.items()
+    ]
     first = evaluations[0]
     repeats = sorted({len(values) for each in evaluations for values in each.metrics.values()})
     said = f"{first.n} motions a repeat, {' or '.join(map(str, repeats))} repeats a model."

@@ -129,6 +129,14 @@ class TestComparison:
         assert cells(text, "close")[2].startswith("**28.10**")
         assert text.count("**") == 2
 
+    def test_real_motions_come_from_beside_a_model(self):
+        close, tame = trained("close", diversity=[28.0, 28.1, 28.2]), trained("tame", diversity=[20.0, 20.1, 20.2])
+        text = comparison_table([close[0], replace(close[1], real={"diversity": [29.0, 31.0]}), close[2], *tame])
+        text = text.partition("as published")[0]
+        assert cells(text, REAL) == [REAL, "–", "30.00"]
+        assert cells(text, "close")[:2] == ["close", "3"] and cells(text, "close")[2].startswith("**28.10**")
+        assert text.index(f"| {REAL} |") < text.index("| close |")
+
     def test_a_measure_that_a_row_lacks(self):
         text = comparison_table([evaluation("a", 0, fid_c=[1.0]), evaluation("b", 0, kid_c=[0.5])])
         assert cells(text, "a")[2:] == ["1.00", "–"] and cells(text, "b")[2:] == ["–", "0.500"]
