@@ -113,11 +113,13 @@ def fit(
         model.parameters(), config.learning_rate, betas=config.betas, weight_decay=config.weight_decay
     )
     state = folder / "state.safetensors"
-    # A run that was killed before its first checkpoint has no weights yet and goes on from its first step.
-    begun = resume and (folder / "last.safetensors").exists()
+    # A run that was killed before it wrote anything goes on from its first step.
+    begun = resume and (state.exists() or (folder / "last.safetensors").exists())
     progress = load_state(state, model, optimiser) if begun else {"step": 0, "best": math.inf}
     random, started, first = torch.Generator(), time.monotonic(), progress["step"]
     processes.wait()  # or the first could write over what another has yet to read
+    if processes.first and not begun:  # a kill between the first weights and the first state must not part them
+        save_state(state, model, optimiser, progress)
     shown = None if processes.first else True
     with torch.random.fork_rng(), journal(folder, first, config, processes) as write:
         for step in tqdm(range(first, config.steps), initial=first, total=config.steps, desc=kind, disable=shown):
@@ -182,7 +184,8 @@ def refuse_row(row: dict[str, float], state: Path, describe: Callable[[int], str
     """Say which term of a step is not finite, on what, and where the last good checkpoint is."""
     name, value = next((name, value) for name, value in row.items() if not math.isfinite(value))
     on = f" on {describe(row['step'])}" if describe else ""
-    kept = f"the last good checkpoint is {state}" if state.exists() else "there is no checkpoint yet"
+    written = state.with_name("last.safetensors").exists()
+    kept = f"the last good checkpoint is {state}" if written else "there is no checkpoint yet"
     remedy = f"{kept}; lower --loop.learning-rate or set --loop.clip-gradients"
     raise UserError(f"step {row['step']}", f"the term {name!r} became {value}{on}", remedy)
 

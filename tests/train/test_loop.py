@@ -11,6 +11,7 @@ from safetensors import safe_open
 from torch import nn
 
 from renderers.checks import UserError
+from train.checkpoints import save_state
 from train.loop import RULE, LoopConfig, check_loop, fit, learning_rate, open_run, seed_of, take_step
 
 
@@ -311,6 +312,27 @@ def test_a_run_killed_before_its_first_checkpoint_is_resumed_from_the_start(tmp_
     (tmp_path / "broken" / "log.jsonl").write_text('{"step": 0, "error": 7.0}\n{"step": 1, "err')
     run(tmp_path / "broken", 10, resume=True)
     assert terms(tmp_path / "broken") == terms(tmp_path / "whole")
+
+
+def test_a_run_killed_within_its_first_checkpoint_is_resumed_from_the_start(tmp_path, monkeypatch):
+    """The weights are written and their state is not: the second state of the run is where it dies."""
+    run(tmp_path / "whole", 10)
+    states = []
+
+    def dying(path, model, optimiser, progress):
+        states.append(progress["step"])
+        if len(states) == 2:
+            raise KeyboardInterrupt
+        save_state(path, model, optimiser, progress)
+
+    monkeypatch.setattr("train.loop.save_state", dying)
+    with pytest.raises(KeyboardInterrupt):
+        run(tmp_path / "broken", 10)
+    assert states == [0, 5] and (tmp_path / "broken" / "last.safetensors").exists()
+    run(tmp_path / "broken", 10, resume=True)
+    assert terms(tmp_path / "broken") == terms(tmp_path / "whole")
+    for name in ("best.safetensors", "state.safetensors"):
+        assert (tmp_path / "broken" / name).read_bytes() == (tmp_path / "whole" / name).read_bytes()
 
 
 def test_a_run_that_lost_its_state_is_not_trained_over(tmp_path):
