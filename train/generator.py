@@ -20,7 +20,7 @@ from train.config import GeneratorTraining
 from train.data import ClipStore, Draw, draw_batch, index_pairs, open_source, pair_labels, split
 from train.loop import check_device, check_loop, fit, open_run, seed_of
 from train.processes import Processes, together
-from train.steps import Noise, Share, draw_noise, generator_step
+from train.steps import GeneratorLoss, Noise, Share, draw_noise, generator_step
 
 MEASURED = 3  # seed of what is drawn to measure with
 TYPICAL = 4  # seed of what is drawn to standardise by
@@ -123,9 +123,9 @@ class Training:
         drawn, noise = self.draw(self.learned, self.config.batch, random)
         for index in range(self.processes.rank, self.shards, self.processes.count):
             some = slice(index, None, self.shards)
-            yield self.terms(self.learned, drawn, noise, some, self.config.loss.decoupling_at(step))
+            yield self.terms(self.learned, drawn, noise, some, self.config.loss.at(step))
 
-    def terms(self, store: ClipStore, drawn: Draw, noise: Noise, some: slice, decoupling: float) -> dict[str, Tensor]:
+    def terms(self, store: ClipStore, drawn: Draw, noise: Noise, some: slice, loss: GeneratorLoss) -> dict[str, Tensor]:
         """What some items of a draw contribute to its terms."""
         real = store.real_frames(drawn, self.config.data)
         share = Share(
@@ -139,9 +139,8 @@ class Training:
             self.generator,
             self.body,
             self.decoupler,
-            self.config.loss,
+            loss,
             self.config.coupling,
-            decoupling,
             share,
             self.config.precision == "bfloat16",
         )
@@ -152,7 +151,7 @@ class Training:
         sums: dict[str, float] = {}
         for index in range(min(self.shards, self.config.measured)):
             some = slice(index, None, self.shards)
-            terms = self.terms(self.unseen, drawn, noise, some, self.config.loss.decoupling)
+            terms = self.terms(self.unseen, drawn, noise, some, self.config.loss)
             sums = {name: sums.get(name, 0.0) + float(value) for name, value in terms.items()}
         return sums
 
@@ -164,7 +163,7 @@ class Training:
         self.generator.eval()
         bad = []
         for item in range(self.config.batch):
-            terms = self.terms(self.learned, drawn, noise, slice(item, item + 1), self.config.loss.decoupling_at(step))
+            terms = self.terms(self.learned, drawn, noise, slice(item, item + 1), self.config.loss.at(step))
             bad += [] if terms["total"].isfinite() else [item]
         bad = bad or list(range(self.config.batch))
         named = "; ".join(self.learned.describe(drawn, item) for item in bad[:3])

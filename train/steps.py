@@ -1,7 +1,7 @@
 """Loss terms of one training step, as functions of a batch and the models."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
 import torch
@@ -15,7 +15,7 @@ from refine.motion import from_features
 from refine.patches import patchify
 from refine.seeing import Clips
 from renderers.body import Body
-from renderers.checks import check_range
+from renderers.checks import UserError, check_range
 from renderers.skeleton import forward_kinematics
 from train.data import Pairs
 from train.pictures import Pictures
@@ -31,6 +31,11 @@ class GeneratorLoss:
     """Positions of what: the joints, or as in ACTOR the body's vertices, at many times the cost."""
     kl: float = 2e-4
     """Of the KL term: ACTOR's 1e-5 at its batch of 20; ``kl_reduction="sum"`` goes with 1e-5."""
+    kl_first: float | None = None
+    """Its weight at the first step, from where it goes to ``kl`` geometrically. A small one lets the latent carry the
+    motion before it has to be like what is drawn from; none means ``kl`` from the start, as published."""
+    kl_ramp: int = 0
+    """Steps that it takes to get there."""
     kl_reduction: Literal["mean", "sum"] = "mean"
     """Over the batch; over the latent it is always the sum."""
     decoupling: float = 1e-2
@@ -48,7 +53,20 @@ class GeneratorLoss:
 
     def __post_init__(self):
         check_range(self, 0, math.inf, "joints", "kl", "decoupling", "decoupling_start", "decoupling_ramp")
+        check_range(self, 0, math.inf, "kl_ramp")
+        if self.kl_first is not None and min(self.kl_first, self.kl) <= 0:
+            raise UserError("GeneratorLoss(kl_first)", "a weight that is zero cannot rise", "give positive weights")
         check_range(self, 1, math.inf, "decoupling_clips", "decoupling_frames", "decoupling_every")
+
+    def at(self, step: int) -> "GeneratorLoss":
+        """With the weights of a step."""
+        return replace(self, kl=self.kl_at(step), kl_first=None, decoupling=self.decoupling_at(step))
+
+    def kl_at(self, step: int) -> float:
+        """Weight of the KL term at a step, counted from 0."""
+        if self.kl_first is None or step >= self.kl_ramp:
+            return self.kl
+        return self.kl_first * (self.kl / self.kl_first) ** (step / self.kl_ramp)
 
     def decoupling_at(self, step: int) -> float:
         """Weight of the decoupling loss at a step, counted from 0; 0 where it is not taken."""
@@ -113,14 +131,13 @@ def generator_step(
     decoupler: Decoupler | None,
     loss: GeneratorLoss,
     coupling: CouplingConfig,
-    decoupling: float | None = None,
     share: Share = WHOLE,
     half: bool = False,
 ) -> dict[str, Tensor]:
     """Terms of LFCA's objective: reconstruct the pseudo-composition of every pair, and look at some (Eqs. 4 to 7).
 
     Args:
-        decoupling: weight of the decoupling loss at this step, if it is not ``loss.decoupling``.
+        loss: with the weights of the step, see ``GeneratorLoss.at``.
         share: what ``batch`` and ``noise`` are of the whole batch.
         half: the network's products in bfloat16; everything else stays as it is.
 
@@ -141,11 +158,10 @@ def generator_step(
         errors = position_errors(made.features, target, body, loss.positions)
         terms["rcxyz"] = share.frames * mean_over_frames(errors, batch.valid)
         total = total + loss.joints * terms["rcxyz"]
-    decoupling = loss.decoupling if decoupling is None else decoupling
-    if decoupling and decoupler is not None:
+    if loss.decoupling and decoupler is not None:
         looked = decoupling_term(made.features, batch, decoupler, loss, noise.chances) if len(noise.chances) else 0.0
         terms["dr"] = torch.as_tensor(share.drawn * looked).to(total)
-        total = total + decoupling * terms["dr"]
+        total = total + loss.decoupling * terms["dr"]
     return terms | {"total": total}
 
 

@@ -14,6 +14,7 @@ from refine.mae import MAE, MAEConfig
 from refine.motion import from_features, to_features
 from refine.patches import keep_random, patchify
 from renderers.body import Body
+from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix, matrix_to_6d
 from renderers.skeleton import PARTS
 from train.data import Pairs
@@ -143,9 +144,25 @@ def test_the_weight_of_the_decoupling_loss_over_the_steps():
     assert sum(seldom.decoupling_at(step) for step in range(1, 301)) == 300 * 2.0
 
 
+def test_the_weight_of_the_kl_term_over_the_steps():
+    assert [GeneratorLoss(kl=3.0).kl_at(step) for step in (0, 1, 100)] == [3.0] * 3
+    rising = GeneratorLoss(kl=1e-2, kl_first=1e-4, kl_ramp=10)
+    assert rising.kl_at(0) == 1e-4 and rising.kl_at(5) == pytest.approx(1e-3)
+    assert [rising.kl_at(step) for step in (10, 11, 1000)] == [1e-2] * 3
+    with pytest.raises(UserError, match="cannot rise"):
+        GeneratorLoss(kl_first=0.0)
+
+
+def test_the_weights_of_a_step_are_those_of_its_terms(batch, model, body):
+    loss = GeneratorLoss(kl=1.0, kl_first=1e-2, kl_ramp=2, joints=0.0, decoupling=0.0)
+    for number, weight in ((0, 1e-2), (1, 1e-1), (2, 1.0)):
+        terms = generator_step(batch, noise_for(loss), model, body, None, loss.at(number), CouplingConfig())
+        torch.testing.assert_close(terms["total"], terms["rc"] + weight * terms["kl"])
+
+
 def test_a_step_without_the_decoupling_loss_draws_nothing(batch, model, body, decoupler):
-    loss = GeneratorLoss()
-    terms = generator_step(batch, noise_for(loss), model, body, decoupler, loss, CouplingConfig(), decoupling=0.0)
+    loss = GeneratorLoss(decoupling_start=5)
+    terms = generator_step(batch, noise_for(loss), model, body, decoupler, loss.at(4), CouplingConfig())
     assert terms.keys() == {"rc", "rcxyz", "kl", "total"}
 
 
