@@ -85,7 +85,8 @@ class Stepper:
         """Draw a batch and compute its loss; without the decoupling loss where its weight is 0."""
         training = self.training
         drawn, noise = training.draw(training.learned, self.config.batch, self.random)
-        return training.terms(training.learned, drawn, noise, slice(None), decoupling)["total"]
+        loss = replace(self.config.loss, decoupling=decoupling)
+        return training.terms(training.learned, drawn, noise, slice(None), loss)["total"]
 
     def update(self):
         nn.utils.clip_grad_norm_(self.training.generator.parameters(), 1.0)
