@@ -23,12 +23,16 @@ from pathlib import Path
 
 import refinement
 import torch
-from inpainting import SHIPPED, draw_pair, inpainting, judgements, shares
+from inpainting import SHIPPED, Pair, batch, draw_pair, inpainting, judgements, shares
+from torch import nn
 from tqdm import tqdm
 
-from refine.decoupling import PAPER, Decoupler, default_for
+from refine.coupling import couple
+from refine.decoupling import PAPER, Decoupler, DecouplingConfig, default_for
 from refine.formats.files import load_motion
+from refine.intervals import mean_interval
 from refine.mae import MAE, MAEConfig, load_mae
+from refine.motion import Motion
 from refine.refinement import RefinementConfig
 from renderers.body import Body
 from train.checkpoints import commit, save_weights
@@ -150,12 +154,37 @@ def measure(task: tuple[Rung, Settings, Path | None, Path]) -> dict:
             row["ranking"][data] = {
                 said: shares(judgements(pairs, Decoupler(body, mae, config))) for said, config in losses.items()
             }
+    pairs = [draw_pair(index, settings.seed, None, body.rest_joints) for index in range(settings.refined)]
+    row["through_mae"] = {said: gradient_share(pairs, body, mae, config) for said, config in losses.items()}
     row["refinement"] = {}
     for said, config in losses.items():
         task = settings.seed, None, config, RefinementConfig(), (name, weights)
         refined = [refinement.measure(("built-in", index, *task)) for index in range(settings.refined)]
         row["refinement"][said] = refinement.summarise(refined)
     return row
+
+
+def gradient_share(pairs: list[Pair], body: Body, mae: nn.Module, config: DecouplingConfig) -> dict:
+    """How large the gradient's part is that passes through the inpainter, by norm, in coupled motions."""
+    shares = []
+    for pair in pairs:
+        coupled = couple(pair.legs, pair.arms, body.rest_joints).motion
+        frames = torch.linspace(0, len(coupled) - 1, 4).round().long()[None]
+        whole, visible = (
+            gradient(coupled, pair, Decoupler(body, mae, replace(config, through_mae=through)), frames)
+            for through in (True, False)
+        )
+        if whole.any():
+            shares.append(float((whole - visible).norm() / whole.norm()))
+    return mean_interval(shares or [0.0])
+
+
+def gradient(motion: Motion, pair: Pair, decoupler: Decoupler, frames: torch.Tensor) -> torch.Tensor:
+    """Of the loss, by the motion's rotations."""
+    composed = batch(motion)
+    composed.rotations.requires_grad_()
+    decoupler(composed, batch(pair.legs), batch(pair.arms), frames).loss.backward()
+    return composed.rotations.grad
 
 
 def inpaint(rung: Rung, mae: MAE, settings: Settings, real: Path | None, body: Body) -> dict:
@@ -194,11 +223,13 @@ def tables(report: dict) -> str:
     data, losses = list(rows[0]["ranking"]), list(rows[0]["refinement"])
     head = ["inpainter", "parameters", "steps", *(f"error left, {name}" for name in data)]
     head += [f"right, {name}, {said}" for name in data for said in losses]
+    head += [f"gradient through it, {said}" for said in losses]
     head += [f"joint error, cm, {said} [95 %]" for said in losses]
     lines = [
         "Error left: of hidden patches on the body, under masks by attention, as a share of the mean picture's. "
         "Right: the loss is lower for the right action than for a wrong one, in true compositions (in coupled ones of "
-        "real clips). Joint error: mean to the true composition, after refinement by that loss.",
+        "real clips). Gradient through it: the norm of the part that passes through the inpainter, as a share of the "
+        "whole's, in coupled motions. Joint error: mean to the true composition, after refinement by that loss.",
         "",
         f"| {' | '.join(head)} |",
         "|" + "---|" * len(head),
@@ -208,6 +239,7 @@ def tables(report: dict) -> str:
         cells += ["" if row["steps"] is None else str(row["steps"])]
         cells += [f"{left(row['inpainting'][name]):.2f}" if row["inpainting"] else "" for name in data]
         cells += [f"{accuracy(row, name, said):.0%}" for name in data for said in losses]
+        cells += [f"{row['through_mae'][said]['mean']:.1%}" if row["inpainting"] else "" for said in losses]
         for said in losses:
             error = row["refinement"][said]["error"]["refined"]
             low, high = (100 * bound for bound in error["ci95"])

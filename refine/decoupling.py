@@ -57,8 +57,8 @@ class DecouplingConfig:
     by less than two degrees."""
     through_mae: bool = True
     """Whether the gradient also follows what the MAE makes of the visible patches, as published, or the visible pixels
-    alone, which halves a step's time. With ownership and blurs the MAE's part is 0.5 to 4 % of the gradient's norm;
-    with the loss as published 15 to 35 %."""
+    alone, which nearly halves a step's time. The MAE's part is a percent or so of the gradient's norm here, and a
+    fifth to a third with the loss as published (benchmarks/ladder.py)."""
 
 
 PAPER = DecouplingConfig(views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,))

@@ -57,6 +57,8 @@ def test_the_table_has_a_row_a_rung(ladder, tmp_path, monkeypatch):
     rows = [ladder.measure((rung, settings, None, tmp_path)) for rung in rungs]
     assert rows[1]["inpainting"] is None and rows[0]["inpainting"]["built-in"].keys() == {"random", "attention"}
     assert rows[0]["ranking"]["built-in"].keys() == rows[0]["refinement"].keys() == {"ours", "as published"}
+    for loss in ("ours", "as published"):
+        assert 0 < rows[0]["through_mae"][loss]["mean"] < 1
     text = ladder.tables(json.loads(json.dumps({"rungs": rows})))
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| parts", "| none"]
