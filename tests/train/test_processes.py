@@ -154,7 +154,7 @@ def test_a_run_that_is_killed_goes_on_as_if_it_had_not_been(whole, tmp_path):
     folder = tmp_path / "run"
     run = launch(folder, "--loop.steps", "1000000")
     deadline = time.monotonic() + 100
-    while not (folder / "state.safetensors").exists() or len(rows(folder)) < 7:
+    while not (folder / "last.safetensors").exists() or len(rows(folder)) < 7:
         assert run.poll() is None and time.monotonic() < deadline, run.communicate()
         time.sleep(0.002)
     os.kill(run.pid, signal.SIGKILL)
