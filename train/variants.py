@@ -46,7 +46,7 @@ VARIANTS: dict[str, Variant] = {
     "without-dr": Variant("LFCA without decoupling refinement.", plain(), "w/o DR"),
     "dr-paper": Variant(
         "LFCA's decoupling refinement as published: one camera, whole pictures.",
-        lambda config: replace(config, decoupling=PAPER),
+        lambda config: replace(config, decoupling=replace(PAPER, precision=config.decoupling.precision)),
         "w/ DR",
     ),
     "dr-one-camera": Variant(
