@@ -57,8 +57,8 @@ class DecouplingConfig:
     by less than two degrees."""
     through_mae: bool = True
     """Whether the gradient also follows what the MAE makes of the visible patches, as published, or the visible pixels
-    alone, which nearly halves a step's time. The MAE's part is a percent or so of the gradient's norm here, and a
-    fifth to a third with the loss as published (benchmarks/ladder.py)."""
+    alone, which nearly halves a step's time. The MAE's part is some 5 % of the gradient's norm here, and some 40 %
+    with the loss as published (benchmarks/ladder.py)."""
 
 
 PAPER = DecouplingConfig(views=(0.0,), pinned="sequence", ownership="none", attention_joints="sub_action", blurs=(0.0,))

@@ -220,8 +220,8 @@ def test_without_the_path_through_the_mae_the_gradient_is_that_of_the_visible_pi
     expected = torch.zeros_like(patchify(pictures, 8))
     for side, reference in zip(trace.sides, references, strict=True):
         difference = patchify((pictures - reference.seen.pictures).detach(), 8)
-        expected += 2 * difference * side.kept[..., None] / pictures.numel()
-    torch.testing.assert_close(patchify(pictures.grad, 8), expected)
+        expected += 2 * difference * side.kept[..., None]
+    torch.testing.assert_close(patchify(pictures.grad * pictures.numel(), 8), expected, rtol=1e-4, atol=1e-4)
     whole = Decoupler(body, mae, PLAIN).compare(seen, references).loss
     torch.testing.assert_close(whole.detach(), trace.loss.detach())
 
