@@ -36,6 +36,9 @@ class NetworkConfig:
     standardise: bool = False
     """Let the network read and write features less their mean and over their spread in training. ACTOR does neither:
     most of a feature is constant, and thousands of steps pass before anything but the mean pose is learned."""
+    prior: Literal["normal", "fitted"] = "normal"
+    """What latents are drawn from to generate: N(0, 1), as ACTOR does, or for each pair that is trained on the normal
+    distribution that fits its latents. LFCA writes its prior as one given the label, and does not say which."""
 
     def __post_init__(self):
         check_range(self, 1, math.inf, "latent", "feedforward", "heads", "layers")
@@ -49,8 +52,8 @@ class NetworkConfig:
 
 
 PAPER = NetworkConfig()
-SMALL = NetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0, standardise=True)
-TINY = NetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0, standardise=True)
+TINY = NetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0, standardise=True, prior="fitted")
+SMALL = TINY
 SPREAD = 0.02  # added to every feature's: what hardly moves is not blown up
 
 
@@ -62,15 +65,24 @@ class GeneratorConfig(NetworkConfig):
     """Names of the sub-actions, in the order of the label tables."""
     fps: float = 30.0
     """Frame rate of the motions it is trained on, hence of those it makes."""
+    pairs: tuple[tuple[str, str], ...] = ()
+    """Actions that are trained together and have a fitted prior; an action alone is a pair of equals."""
 
     def __post_init__(self):
         super().__post_init__()
+        for name in {name for pair in self.pairs for name in pair}:
+            check_known("GeneratorConfig(pairs)", name, self.classes)
         if not self.classes:
             raise UserError("GeneratorConfig(classes)", "there is no sub-action", "name at least one")
 
     @staticmethod
-    def of(network: NetworkConfig, classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
-        return GeneratorConfig(classes, fps, **asdict(network))
+    def of(
+        network: NetworkConfig,
+        classes: tuple[str, ...],
+        fps: float = 30.0,
+        pairs: tuple[tuple[str, str], ...] = (),
+    ) -> "GeneratorConfig":
+        return GeneratorConfig(classes, fps, pairs if network.prior == "fitted" else (), **asdict(network))
 
     @staticmethod
     def paper(classes: tuple[str, ...], fps: float = 30.0) -> "GeneratorConfig":
@@ -116,6 +128,10 @@ class Generator(nn.Module):
         if config.standardise:
             self.register_buffer("centre", torch.zeros(ROWS * FEATURES))
             self.register_buffer("spread", torch.ones(ROWS * FEATURES))
+        if config.pairs:
+            count, width = len(config.pairs), config.latent
+            self.register_buffer("prior_means", torch.zeros(count, width))
+            self.register_buffer("prior_roots", torch.eye(width).repeat(count, 1, 1))
         layer = (config.latent, config.heads, config.feedforward, config.dropout, "gelu")
         self.encoder = nn.TransformerEncoder(
             nn.TransformerEncoderLayer(*layer, batch_first=True), config.layers, enable_nested_tensor=False
@@ -127,6 +143,28 @@ class Generator(nn.Module):
         flat = features.flatten(2).flatten(0, 1)
         self.centre.copy_(flat.mean(0))
         self.spread.copy_(flat.std(0) + SPREAD)
+
+    @torch.no_grad()
+    def fit_prior(self, pair: int, mean: Tensor, log_variance: Tensor):
+        """Take the prior of a pair from the posteriors [N D] of N compositions: their moments together."""
+        covariance = torch.cov(mean.double().T) + log_variance.double().exp().mean(0).diag()
+        self.prior_means[pair] = mean.mean(0)
+        self.prior_roots[pair] = torch.linalg.cholesky(covariance).to(mean)
+
+    def draw_latent(self, weights: Tensor, random: torch.Generator) -> Tensor:
+        """Latents [B D] for rows of label weights [B C]: from the fitted prior of the actions that have weight, however
+        much of it, or from N(0, 1) where these were not trained together."""
+        latent = draw_normal(weights.new_empty(len(weights), self.config.latent), random)
+        if not self.config.pairs:
+            return latent
+        classes = self.config.classes
+        known = torch.zeros(len(self.config.pairs), len(classes), dtype=torch.bool, device=weights.device)
+        for row, pair in enumerate(self.config.pairs):
+            known[row, [classes.index(name) for name in pair]] = True
+        same = ((weights > 0)[:, None] == known).all(-1)
+        pair = same.float().argmax(1)
+        fitted = self.prior_means[pair] + (self.prior_roots[pair] @ latent[..., None])[..., 0]
+        return torch.where(same.any(1, keepdim=True), fitted, latent)
 
     def encode(self, features: Tensor, weights: Tensor, valid: Tensor) -> tuple[Tensor, Tensor]:
         """Posterior mean and log variance, each [B D].
@@ -198,12 +236,12 @@ def label_weights(i: Tensor, j: Tensor, lam: Tensor, classes: int) -> Tensor:
 
 @torch.no_grad()
 def generate(generator: Generator, weights: Tensor, frames: int, random: torch.Generator) -> Tensor:
-    """Draw one latent from the prior N(0, 1) for each row of label weights [B C] -> features [B T 25 6].
+    """Draw one latent from the prior for each row of label weights [B C] -> features [B T 25 6].
 
     The generator must be in evaluation mode, or its dropout adds noise of its own.
     """
     check_shapes("generate", {"C": len(generator.config.classes)}, weights=(weights, "B C"))
-    latent = draw_normal(weights.new_empty(len(weights), generator.config.latent), random)
+    latent = generator.draw_latent(weights, random)
     return generator.decode(latent, weights, torch.ones(len(weights), frames, dtype=torch.bool, device=weights.device))
 
 

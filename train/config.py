@@ -145,7 +145,7 @@ GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
         "A benchmark's few actions: a quarter of an hour on one core.",
         GeneratorTraining(
             network=SMALL,
-            loss=GeneratorLoss(kl=5e-4, kl_first=1e-5, kl_ramp=3000, decoupling_clips=2, decoupling_frames=1),
+            loss=GeneratorLoss(kl=1e-4, kl_first=1e-5, kl_ramp=2500, decoupling_clips=2, decoupling_frames=1),
             decoupling=DecouplingConfig(precision="bfloat16"),
             loop=LoopConfig(
                 steps=5000,

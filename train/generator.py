@@ -11,19 +11,20 @@ from torch import Tensor
 
 from refine.coupling import couple_features
 from refine.decoupling import Decoupler
-from refine.generator import Generator, GeneratorConfig
+from refine.generator import Generator, GeneratorConfig, label_weights
 from refine.mae import load_mae
 from renderers.body import Body
 from renderers.checks import UserError
 from train.checkpoints import hash_motions, provenance, read_weights
 from train.config import GeneratorTraining
-from train.data import ClipStore, Draw, draw_batch, index_pairs, open_source, pair_labels, split
+from train.data import ClipStore, Draw, Pairs, draw_batch, draw_windows, index_pairs, open_source, pair_labels, split
 from train.loop import check_device, check_loop, fit, open_run, seed_of
 from train.processes import Processes, together
 from train.steps import GeneratorLoss, Noise, Share, draw_noise, generator_step
 
 MEASURED = 3  # seed of what is drawn to measure with
-TYPICAL = 4  # seed of what is drawn to standardise by
+TYPICAL, PRIOR = 4, 5  # seeds of what is drawn to standardise by, and to fit priors to
+FITTED = 256  # compositions of a pair that its prior is fitted to
 
 
 def train_generator(config: GeneratorTraining) -> Path:
@@ -59,10 +60,13 @@ class Training:
         self.decoupler = Decoupler(self.body, mae, config.decoupling) if mae else None
         with torch.random.fork_rng():
             torch.manual_seed(seed_of(config.loop.seed))
-            network = GeneratorConfig.of(config.network, self.learned.classes, config.data.fps)
+            paired = tuple(dict.fromkeys(tuple(sorted(pair)) for pair in labels))
+            network = GeneratorConfig.of(config.network, self.learned.classes, config.data.fps, paired)
             self.generator = Generator(network)
         if network.standardise:
-            self.generator.standardise(self.typical())
+            random = torch.Generator().manual_seed(TYPICAL)
+            some = self.pairs[torch.randint(len(self.pairs), (1024,), generator=random)]
+            self.generator.standardise(self.compositions(some, random)[0])
         self.generator.to(device)
         self.record = {
             "provenance": provenance(config.loop.seed, hash_motions(source.clips)),
@@ -78,13 +82,22 @@ class Training:
         }
         self.learned, self.unseen = self.learned.to(device), self.unseen.to(device)
 
-    def typical(self) -> Tensor:
-        """Pseudo-compositions [B T 25 6], always the same ones."""
-        random = torch.Generator().manual_seed(TYPICAL)
+    def compositions(self, classes: Tensor, random: torch.Generator) -> tuple[Tensor, Pairs]:
+        """Pseudo-compositions [B T 25 6] of pairs of classes [B 2], and what they are made of."""
         data = self.config.data
-        drawn = self.learned.pairs(draw_batch(self.learned, self.pairs, 1024, data, random), data)
+        drawn = self.learned.pairs(draw_windows(self.learned, classes, data, random), data)
         rest_joints = self.body.rest_joints.to(drawn.lam)
-        return couple_features(drawn.features_i, drawn.features_j, drawn.lam, rest_joints, self.config.coupling)
+        return couple_features(drawn.features_i, drawn.features_j, drawn.lam, rest_joints, self.config.coupling), drawn
+
+    @torch.no_grad()
+    def fit_priors(self):
+        """Fit the prior of every pair to always the same compositions."""
+        network, random = self.generator.config, torch.Generator().manual_seed(PRIOR)
+        for index, pair in enumerate(network.pairs):
+            classes = torch.tensor([[network.classes.index(name) for name in pair]]).expand(FITTED, 2)
+            features, drawn = self.compositions(classes, random)
+            weights = label_weights(drawn.class_i, drawn.class_j, drawn.lam, len(network.classes))
+            self.generator.fit_prior(index, *self.generator.encode(features, weights, drawn.valid))
 
     def run(self) -> Path:
         config = self.config
@@ -146,7 +159,9 @@ class Training:
         )
 
     def measure(self) -> dict[str, float]:
-        """The terms on pairs of held-out clips, always the same ones, at the full weights."""
+        """The terms on pairs of held-out clips, always the same ones, at the full weights; and the priors, so that what
+        is then written makes motions as it is."""
+        self.fit_priors()
         drawn, noise = self.draw(self.unseen, self.config.measured, torch.Generator().manual_seed(MEASURED))
         sums: dict[str, float] = {}
         for index in range(min(self.shards, self.config.measured)):
@@ -190,7 +205,8 @@ def load_generator(path: str | Path) -> Generator:
     tensors, description = read_weights(path, "generator")
     try:
         stored = description["config"]
-        generator = Generator(GeneratorConfig(**stored | {"classes": tuple(stored["classes"])}))
+        stored |= {"classes": tuple(stored["classes"]), "pairs": tuple(map(tuple, stored.get("pairs", ())))}
+        generator = Generator(GeneratorConfig(**stored))
         generator.load_state_dict(tensors)
     except (KeyError, TypeError, RuntimeError) as error:
         reason = str(error).splitlines()[0]

@@ -1,10 +1,15 @@
 """The generator against protocol G.9 and G.10."""
 
+from dataclasses import replace
+
 import pytest
 import torch
 from torch import nn
 
 from refine.generator import (
+    PAPER,
+    SPREAD,
+    TINY,
     Generator,
     GeneratorConfig,
     generate,
@@ -205,3 +210,66 @@ def test_refusals(small, features):
         GeneratorConfig(names(2), heads=6)
     with pytest.raises(AssertionError):  # torch itself refuses SINC's "6 heads"
         nn.MultiheadAttention(256, 6)
+
+
+def fitted(pairs=(("walk", "wave"),)):
+    with torch.random.fork_rng():
+        torch.manual_seed(0)
+        config = GeneratorConfig.of(replace(TINY, latent=8, layers=1), ("sit", "walk", "wave"), pairs=pairs)
+        return Generator(config).eval()
+
+
+def test_a_fitted_prior_has_the_moments_of_all_that_the_posteriors_draw(generator):
+    model = fitted()
+    mean = torch.randn(400, 8, generator=generator) @ torch.randn(8, 8, generator=generator) + 3
+    log_variance = torch.randn(400, 8, generator=generator)
+    model.fit_prior(0, mean, log_variance)
+    drawn = mean[:, None] + (log_variance / 2).exp()[:, None] * torch.randn(400, 500, 8, generator=generator)
+    latents = model.draw_latent(torch.tensor([[0.0, 0.5, 0.5]]).repeat(100_000, 1), generator)
+    torch.testing.assert_close(latents.mean(0), drawn.mean((0, 1)), atol=0.06, rtol=0)
+    expected = torch.cov(drawn.flatten(0, 1).T)
+    assert (torch.cov(latents.T) - expected).abs().max() < 0.03 * expected.diag().max()
+
+
+def test_other_labels_are_drawn_from_the_standard_normal(generator):
+    model = fitted()
+    model.fit_prior(0, torch.randn(50, 8, generator=generator) + 100, torch.zeros(50, 8))
+    rows = [[0.5, 0.5, 0], [0, 0.3, 0.7], [1.0, 0, 0], [0, 1.0, 0], [0.3, 0.3, 0.4], [0, 0.9, 0.1]]
+    latents = model.draw_latent(torch.tensor(rows), torch.Generator().manual_seed(1))
+    plain = torch.randn(6, 8, generator=torch.Generator().manual_seed(1))
+    far = latents.mean(1) > 50
+    assert far.tolist() == [False, True, False, False, False, True]
+    assert torch.equal(latents[~far], plain[~far])
+
+
+def test_a_single_action_has_a_prior_of_its_own(generator):
+    model = fitted((("walk", "walk"), ("walk", "wave")))
+    model.fit_prior(0, torch.randn(50, 8, generator=generator) + 100, torch.zeros(50, 8))
+    model.fit_prior(1, torch.randn(50, 8, generator=generator) - 100, torch.zeros(50, 8))
+    latents = model.draw_latent(torch.tensor([[0, 1.0, 0], [0, 0.5, 0.5]]), generator)
+    assert latents[0].mean() > 50 and latents[1].mean() < -50
+
+
+def test_the_published_prior_knows_no_pairs():
+    assert GeneratorConfig.of(PAPER, ("walk", "wave"), pairs=(("walk", "wave"),)).pairs == ()
+    with pytest.raises(UserError, match="pairs"):
+        fitted((("walk", "wake"),))
+
+
+def test_standardised_features_are_read_and_written_in_their_own_units(generator):
+    """Shifting and scaling features like centre and spread leaves latents as they are, and moves what is made along."""
+    model = fitted()
+    features = torch.randn(6, 10, 25, 6, generator=generator)
+    model.standardise(features)
+    weights, valid = torch.eye(3)[[0, 1, 2, 0, 1, 2]], torch.ones(6, 10, dtype=torch.bool)
+    with torch.no_grad():
+        before = model.encode(features, weights, valid)[0], model.decode(torch.zeros(6, 8), weights, valid)
+        centre, spread = model.centre.clone(), model.spread.clone()
+        model.centre.copy_(5 + 2 * centre)
+        model.spread.copy_(2 * spread)
+        after = model.encode(5 + 2 * features, weights, valid)[0], model.decode(torch.zeros(6, 8), weights, valid)
+    torch.testing.assert_close(after[0], before[0], atol=1e-4, rtol=1e-4)
+    torch.testing.assert_close(after[1], 5 + 2 * before[1], atol=1e-4, rtol=1e-4)
+    flat = features.flatten(2).flatten(0, 1)
+    torch.testing.assert_close(centre, flat.mean(0))
+    torch.testing.assert_close(spread, flat.std(0) + SPREAD)

@@ -9,7 +9,7 @@ import pytest
 import torch
 
 from refine.formats.clips import save_clips
-from refine.generator import TINY, Generator, generate_motions
+from refine.generator import TINY, Generator, generate_motions, label_weights
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
 from renderers.body import Body
@@ -18,8 +18,9 @@ from renderers.rotations import axis_angle_to_matrix
 from train.checkpoints import save_weights
 from train.config import GENERATOR_PRESETS, MAE_PRESETS, GeneratorTraining
 from train.data import DataConfig
-from train.generator import load_generator, train_generator
+from train.generator import Training, load_generator, train_generator
 from train.loop import LoopConfig
+from train.processes import Processes
 from train.steps import GeneratorLoss
 
 
@@ -189,3 +190,26 @@ def test_presets_are_complete():
     assert MAE_PRESETS.keys() == {"tiny", "small", "paper"}
     assert GENERATOR_PRESETS.keys() == {"tiny", "small", "paper"}
     assert GENERATOR_PRESETS["paper"][1].batch == 800
+
+
+def test_priors_are_fitted_to_the_pairs_that_are_trained_and_saved_with_the_weights(mae, tmp_path):
+    training = Training(config(tmp_path / "run", mae), Processes(), "cpu")
+    training.run()
+    model = load_generator(tmp_path / "run" / "last.safetensors")
+    network = model.config
+    assert network.prior == "fitted" and len(network.pairs) > 1
+    assert len({frozenset(pair) for pair in network.pairs}) == len(network.pairs)
+    # By hand, of new compositions: the moments are those of the pair up to sampling.
+    i, j = network.pairs[-1]
+    classes = torch.tensor([[network.classes.index(i), network.classes.index(j)]]).expand(2000, 2)
+    features, drawn = training.compositions(classes, torch.Generator().manual_seed(99))
+    weights = label_weights(drawn.class_i, drawn.class_j, drawn.lam, len(network.classes))
+    with torch.no_grad():
+        mean, log_variance = model.encode(features, weights, drawn.valid)
+    covariance = torch.cov(mean.T) + log_variance.exp().mean(0).diag()
+    root = model.prior_roots[-1]
+    error = (model.prior_means[-1] - mean.mean(0)).abs() / covariance.diag().sqrt()
+    assert error.max() < 5 / 256**0.5
+    assert ((root @ root.T).diag() / covariance.diag() - 1).abs().max() < 0.6
+    other = (model.prior_means[0] - model.prior_means[-1]).norm()
+    assert other > 3 * (model.prior_means[-1] - mean.mean(0)).norm()
