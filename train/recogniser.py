@@ -19,6 +19,7 @@ from tqdm import tqdm
 from refine.recogniser import OTHER, Graph, Recogniser, RecogniserConfig, both_actions, features_of
 from renderers.checks import UserError, check_known, check_range
 from renderers.outputs import check_place
+from renderers.rotations import axis_angle_to_matrix, matrix_from_6d, matrix_to_6d
 from train.benchmarks import Benchmark, load_benchmark
 from train.checkpoints import provenance, read_weights, replace_file, save_weights, to_json
 from train.lessons import KINDS, PARTS, Examples, Kind, Lesson, compositions_of, kinds_of, lesson_of
@@ -41,6 +42,9 @@ class RecogniserTraining:
     schedule: Literal["constant", "cosine"] = "constant"
     """Stay at the rate; or rise to it over a fifth of ``epochs`` and fall to zero at the last along a cosine."""
     weight_decay: float = 0.01
+    noise: float = 0.0
+    """Disturb the clips in training, each by a pose offset and by a tremor, whose standard deviations are drawn up to
+    this (radians): a network that has seen clean clips alone takes a degree of tremor for another action."""
     batch: int = 64
     epochs: int = 100
     """Largest number of passes over what is learned."""
@@ -60,6 +64,7 @@ class RecogniserTraining:
     def __post_init__(self):
         check_range(self, 1, math.inf, "batch", "epochs", "patience")
         check_range(self, 0, 2**32 - 1, "seed")
+        check_range(self, 0, 1, "noise")
         check_range(self, 0.01, 0.9, "held_out")
         check_range(self, 0.01, 1, "alike")
         for kind in self.kinds:
@@ -76,6 +81,7 @@ RECOGNISER_PRESETS: dict[str, tuple[str, RecogniserTraining]] = {
             depths=(2, 2, 2),
             learning_rate=4e-3,
             schedule="cosine",
+            noise=0.1,
             batch=32,
             epochs=20,
             precision="bfloat16",
@@ -265,8 +271,9 @@ def learn(recogniser: Recogniser, lesson: Lesson, config: RecogniserTraining, se
         recogniser.train()
         for step, part in enumerate(parts, start=epoch * passes):
             optimiser.param_groups[0]["lr"] = learning_rate(step, rates)
+            seen = disturb(six[part], config.noise, random).to(config.device)
             with half:
-                logits = recogniser(six[part].to(config.device))
+                logits = recogniser(seen)
             loss = nn.functional.cross_entropy(logits.float(), classes[part].to(config.device), weight)
             optimiser.zero_grad()
             loss.backward()
@@ -282,6 +289,20 @@ def learn(recogniser: Recogniser, lesson: Lesson, config: RecogniserTraining, se
         if in_a_row == config.patience:
             break
     return history
+
+
+def disturb(six: Tensor, noise: float, random: torch.Generator) -> Tensor:
+    """Clips [N T 24 6] whose joints are turned a little: by the same in all frames of a clip, and anew in each.
+
+    Args:
+        noise: radians; the standard deviation of either is drawn for each clip from U(0, noise). 0 changes nothing.
+    """
+    if not noise:
+        return six
+    of_clip, of_frame = noise * torch.rand(2, len(six), 1, 1, 1, generator=random)
+    turns = of_clip * torch.randn(len(six), 1, *six.shape[2:3], 3, generator=random)
+    turns = turns + of_frame * torch.randn(*six.shape[:3], 3, generator=random)
+    return matrix_to_6d(axis_angle_to_matrix(turns) @ matrix_from_6d(six))
 
 
 def accuracy(recogniser: Recogniser, examples: Examples) -> float:

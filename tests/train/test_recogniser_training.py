@@ -8,16 +8,24 @@ import pytest
 import torch
 
 from refine.cli.main import main
-from refine.recogniser import OTHER, both_actions, features_of
+from refine.recogniser import OTHER, Recogniser, RecogniserConfig, both_actions, features_of
 from refine.synthetic import draw, perform, perform_together
 from renderers.checks import UserError
-from renderers.rotations import heading, matrix_from_6d
+from renderers.rotations import (
+    axis_angle_to_matrix,
+    heading,
+    matrix_from_6d,
+    matrix_to_6d,
+    matrix_to_axis_angle,
+)
 from train.benchmarks import load_benchmark
 from train.building import Material, build_benchmark
 from train.lessons import lesson_of, numbers
 from train.recogniser import (
     RecogniserTraining,
     alike,
+    disturb,
+    learn,
     load_recogniser,
     load_recognisers,
     place_of,
@@ -144,6 +152,35 @@ def test_bfloat16_trains_too(benchmark):
         for name in ("float32", "bfloat16")
     )
     assert rounded != exact and rounded == pytest.approx(exact, rel=0.05)
+
+
+def test_training_ends_after_passes_without_a_fault_in_a_row(benchmark, monkeypatch):
+    lesson = lesson_of(benchmark, "half", 0.2, 0)
+    recogniser = Recogniser(RecogniserConfig(lesson.classes, widths=(4,), depths=(1,)))
+    for shares, settings, passes in (
+        ([1, 0.9, 1, 0.9, 1, 1, 1], SETTINGS, 6),
+        ([1, 1, 1, 1], replace(SETTINGS, patience=1), 1),
+        ([0.9, 1, 0.9], replace(SETTINGS, epochs=3), 3),
+    ):
+        answers = iter(shares)
+        monkeypatch.setattr("train.recogniser.accuracy", lambda *_, answers=answers: next(answers))
+        assert [row["accuracy"] for row in learn(recogniser, lesson, settings, 0, "half")] == shares[:passes]
+
+
+def test_disturbed_clips_are_rotations_turned_as_far_as_is_said(generator):
+    six = matrix_to_6d(axis_angle_to_matrix(torch.randn(400, 12, 24, 3, generator=generator)))
+    noise = 0.1
+    turned = disturb(six, noise, generator)
+    assert torch.allclose(matrix_to_6d(matrix_from_6d(turned)), turned, atol=1e-5)
+    relative = matrix_from_6d(turned) @ matrix_from_6d(six).mT
+    turns = matrix_to_axis_angle(relative)
+    of_clip = turns.mean(1, keepdim=True)
+    # Deviations drawn from U(0, s) make a mean square of s^2 / 3; the mean of 12 frames keeps 1 / 12 of their part.
+    assert of_clip.square().mean() == pytest.approx(noise**2 / 3 * (1 + 1 / 12), rel=0.1)
+    assert (turns - of_clip).square().mean() == pytest.approx(noise**2 / 3 * (1 - 1 / 12), rel=0.1)
+    levels = (turns - of_clip).square().mean((1, 2, 3)).sqrt() * (12 / 11) ** 0.5
+    assert levels.max() < 1.1 * noise and levels.min() < 0.1 * noise
+    assert disturb(six, 0.0, generator) is six
 
 
 def test_a_half_is_every_other_composition_of_each_pair(benchmark):
