@@ -7,13 +7,17 @@ each; what is already there is not run again, and a run that was stopped goes on
 """
 
 import argparse
+import hashlib
 import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from train.benchmarks import load_benchmark
 from train.checkpoints import replace_file
+from train.lessons import kinds_of
+from train.recogniser import place_of
 from train.tables import Evaluation, comparison_table, contrast_table, load_evaluation
 from train.variants import VARIANTS
 
@@ -30,23 +34,32 @@ def refine(*arguments: object):
     command = [sys.executable, "-m", "refine.cli.main", *map(str, arguments)]
     done = subprocess.run(command, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
     if done.returncode:
-        raise RuntimeError(f"{' '.join(command)}: {done.stderr.strip().splitlines()[-1]}")
+        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
+        raise RuntimeError(f"{' '.join(command)}: {said[-1]}")
 
 
 def one(row: str, seed: int, args: argparse.Namespace) -> Path:
     """Train one row with one seed and measure it; the evaluation's place among the results."""
     name = f"{row}-{seed}"
-    run, found = args.runs / args.preset / name, place(args) / f"{name}.json"
+    run, found = args.runs / f"{place(args).name}-{digest(args)}" / name, place(args) / f"{name}.json"
     if not (run / "done").exists():
         resume = ["--resume"] if (run / "config.json").exists() else []
         refine("train", "generator", args.preset, "--data.source", args.benchmark, "--variant", row, "--seed", seed,
                "--out", run, *args.flags, *resume)  # fmt: skip
         (run / "done").touch()
+    if found.exists() and load_evaluation(found).hashes["benchmark"] != load_benchmark(args.benchmark).hash:
+        raise RuntimeError(f"{found} is of another build of the benchmark; remove it")
     if not found.exists():
         refine("evaluate", run, "--benchmark", args.benchmark, "--repeats", args.repeats, "-o", found)
         found.with_suffix(".md").unlink()  # the table of all rows says the same
     print(found, flush=True)
     return found
+
+
+def digest(args: argparse.Namespace) -> str:
+    """A few letters for the benchmark's build and the flags: other runs must not be taken for these."""
+    told = " ".join([load_benchmark(args.benchmark).hash, *args.flags])
+    return hashlib.sha256(told.encode()).hexdigest()[:8]
 
 
 def place(args: argparse.Namespace) -> Path:
@@ -80,8 +93,10 @@ def main() -> None:
     args = parser.parse_args()
     if not args.table:
         place(args).mkdir(parents=True, exist_ok=True)
-        if not (args.benchmark / "recognisers").exists():
-            refine("train", "recogniser", "small", "--benchmark", args.benchmark)
+        benchmark = load_benchmark(args.benchmark)
+        missing = [kind for kind in kinds_of(benchmark) if not place_of(benchmark, kind).with_suffix(".json").exists()]
+        if missing:
+            refine("train", "recogniser", "small", "--benchmark", args.benchmark, "--kinds", *missing)
         tasks = [(row, seed) for seed in args.seeds for row in args.rows]
         with ThreadPoolExecutor(args.workers) as pool:
             for waiting in [pool.submit(one, *task, args) for task in tasks]:

@@ -13,7 +13,7 @@ import torch
 from torch import Tensor, nn
 
 from refine.motion import Motion, from_features
-from renderers.checks import UserError, check_known, check_range, check_shapes
+from renderers.checks import UserError, check_finite, check_known, check_range, check_shapes
 from renderers.skeleton import JOINT_NAMES, forward_kinematics
 
 ROWS, FEATURES = len(JOINT_NAMES) + 1, 6
@@ -146,7 +146,13 @@ class Generator(nn.Module):
 
     @torch.no_grad()
     def fit_prior(self, pair: int, mean: Tensor, log_variance: Tensor):
-        """Take the prior of a pair from the posteriors [N D] of N compositions: their moments together."""
+        """Take the prior of a pair from the posteriors [N D] of N compositions: their moments together.
+
+        Raises:
+            UserError: they are not finite.
+        """
+        check_finite("Generator.fit_prior(mean)", mean, "composition feature")
+        check_finite("Generator.fit_prior(log_variance)", log_variance.exp(), "composition feature")
         covariance = torch.cov(mean.double().T) + log_variance.double().exp().mean(0).diag()
         self.prior_means[pair] = mean.mean(0)
         self.prior_roots[pair] = torch.linalg.cholesky(covariance).to(mean)

@@ -157,3 +157,12 @@ def hash_motions(motions: list[Motion]) -> str:
         digest.update(motion.rotations.contiguous().numpy().tobytes())
         digest.update(motion.root.contiguous().numpy().tobytes())
     return digest.hexdigest()
+
+
+def hash_tensors(model: nn.Module) -> str:
+    """SHA-256 over names and values of a model's tensors, in order."""
+    digest = hashlib.sha256()
+    for name, value in model.state_dict().items():
+        digest.update(f"{name} {list(value.shape)}".encode())
+        digest.update(value.detach().cpu().contiguous().numpy().tobytes())
+    return digest.hexdigest()

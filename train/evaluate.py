@@ -242,10 +242,11 @@ def evaluate(run: Path, benchmark: Benchmark, config: EvaluationConfig, row: str
     """
     started = time.monotonic()
     weights = run / "last.safetensors"
-    generator, trained = load_generator(weights), read_config(run)
+    generator, trained, described = load_generator(weights), read_config(run), json.loads(as_json(weights))
+    check_run(run, trained, described, benchmark)
     judge = Judge(benchmark, Body.free("light").rest_joints, config.device)
     alone = trained["data"]["pairs"] == "single"
-    coupled = CouplingConfig(**trained["coupling"]) if alone else None
+    coupled = trained["coupling"] if alone else None
     name = row or trained.get("variant") or run.name
     metrics = repeat(generated(generator, judge, coupled, config), judge, config, name)
     return Evaluation(
@@ -257,7 +258,7 @@ def evaluate(run: Path, benchmark: Benchmark, config: EvaluationConfig, row: str
         real=repeat(operated(judge), judge, config, "mask on training clips"),
         versions={"python": platform.python_version()} | {name: metadata.version(name) for name in LIBRARIES},
         hashes={"model": sha256(weights), "benchmark": benchmark.hash}
-        | {kind: sha256(place_of(benchmark, kind)) for kind in judge.recognisers},
+        | {kind: hash_recogniser(place_of(benchmark, kind)) for kind in judge.recognisers},
         provenance={
             "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             "commit": commit(),
@@ -273,12 +274,32 @@ def read_config(run: Path) -> dict:
     path = run / "config.json"
     try:
         found = json.loads(path.read_text())
-        found["data"]["pairs"], found["coupling"], found["loop"]["seed"], found["loop"]["steps"]
+        found["data"]["pairs"], found["loop"]["seed"], found["loop"]["steps"]
+        found["coupling"] = CouplingConfig(**found["coupling"])
     except FileNotFoundError as error:
         raise UserError(run, "holds no run", "give a folder that `refine train generator` wrote") from error
     except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
         raise UserError(path, f"is no configuration of a generator ({error})", "train it again") from error
     return found
+
+
+def check_run(run: Path, trained: dict, described: dict, benchmark: Benchmark):
+    """Refuse a run that is not finished, or that did not learn the benchmark's training clips."""
+    if described["step"] != trained["loop"]["steps"]:
+        done = f"is at step {described['step']} of {trained['loop']['steps']}"
+        raise UserError(run, done, "finish it with --resume")
+    if described["data"]["benchmark"] != benchmark.hash:
+        raise UserError(run, f"was not trained on {benchmark.folder}", f"train with --data.source {benchmark.folder}")
+
+
+def as_json(weights: Path) -> str:
+    return weights.with_suffix(".json").read_text()
+
+
+def hash_recogniser(weights: Path) -> str:
+    """SHA-256 of a recogniser's weights and of its configuration, which says what counts as right."""
+    described = json.dumps(json.loads(as_json(weights))["config"], sort_keys=True)
+    return hashlib.sha256(weights.read_bytes() + described.encode()).hexdigest()
 
 
 def sha256(path: Path) -> str:

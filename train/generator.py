@@ -15,7 +15,7 @@ from refine.generator import Generator, GeneratorConfig, label_weights
 from refine.mae import load_mae
 from renderers.body import Body
 from renderers.checks import UserError
-from train.checkpoints import hash_motions, provenance, read_weights
+from train.checkpoints import hash_motions, hash_tensors, provenance, read_weights
 from train.config import GeneratorTraining
 from train.data import ClipStore, Draw, Pairs, draw_batch, draw_windows, index_pairs, open_source, pair_labels, split
 from train.loop import check_device, check_loop, fit, open_run, seed_of
@@ -77,6 +77,7 @@ class Training:
                 "short_clips": self.learned.short(config.data.frames),
                 "pairs": len(labels),
             },
+            "mae_sha256": hash_tensors(mae) if mae else None,
             "loss": config.loss,
             "processes": processes.count,
         }
@@ -104,7 +105,7 @@ class Training:
         with self.processes.agreeing():
             if self.processes.first:
                 open_run(config.out, config, config.resume)
-                refuse_other_clips(config.out / "last.json", self.record["provenance"]["data_sha256"])
+                refuse_others(config.out / "last.json", self.record)
                 self.say_short()
         return fit(
             self.generator,
@@ -161,7 +162,8 @@ class Training:
     def measure(self) -> dict[str, float]:
         """The terms on pairs of held-out clips, always the same ones, at the full weights; and the priors, so that what
         is then written makes motions as it is."""
-        self.fit_priors()
+        if all(bool(value.isfinite().all()) for value in self.generator.parameters()):
+            self.fit_priors()
         drawn, noise = self.draw(self.unseen, self.config.measured, torch.Generator().manual_seed(MEASURED))
         sums: dict[str, float] = {}
         for index in range(min(self.shards, self.config.measured)):
@@ -185,10 +187,17 @@ class Training:
         return f"{named} and {len(bad) - 3} more" if len(bad) > 3 else named
 
 
-def refuse_other_clips(last: Path, data_hash: str):
-    """Refuse to go on with a run whose clips have changed meanwhile."""
-    if last.exists() and json.loads(last.read_text())["provenance"]["data_sha256"] != data_hash:
-        raise UserError(last, "is of a run on other clips", "give the same, or choose another folder with --out")
+def refuse_others(last: Path, record: dict):
+    """Refuse to go on with a run whose clips or whose inpainter have changed meanwhile."""
+    if not last.exists():
+        return
+    before = json.loads(last.read_text())
+    for what, was, now in (
+        ("on other clips", before["provenance"]["data_sha256"], record["provenance"]["data_sha256"]),
+        ("with another MAE", before.get("mae_sha256"), record["mae_sha256"]),
+    ):
+        if was != now:
+            raise UserError(last, f"is of a run {what}", "give the same, or choose another folder with --out")
 
 
 def load_generator(path: str | Path) -> Generator:

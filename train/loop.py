@@ -140,6 +140,8 @@ def fit(
                 model.eval()
                 with torch.no_grad():
                     row["held_out"] = measure()
+                # A step can break the weights with losses and gradients that are still finite.
+                refuse_row(row["held_out"] | {"step": step}, state, None)
             if due or step % config.log_every == 0:
                 write(row)
             if due:
@@ -181,12 +183,14 @@ def take_step(
 
 
 def refuse_row(row: dict[str, float], state: Path, describe: Callable[[int], str] | None):
-    """Say which term of a step is not finite, on what, and where the last good checkpoint is."""
+    """Refuse a step with a term that is not finite: say which, on what, and where the last good checkpoint is."""
+    if all(map(math.isfinite, row.values())):
+        return
     name, value = next((name, value) for name, value in row.items() if not math.isfinite(value))
     on = f" on {describe(row['step'])}" if describe else ""
     written = state.with_name("last.safetensors").exists()
     kept = f"the last good checkpoint is {state}" if written else "there is no checkpoint yet"
-    remedy = f"{kept}; lower --loop.learning-rate or set --loop.clip-gradients"
+    remedy = f"{kept}; start again in another folder with a lower --loop.learning-rate or with --loop.clip-gradients"
     raise UserError(f"step {row['step']}", f"the term {name!r} became {value}{on}", remedy)
 
 

@@ -12,6 +12,7 @@ from torch import Tensor
 from refine.formats.actor import UESTC_TRAIN_SUBJECTS, is_humanact, is_uestc, read_humanact, read_uestc, video_of
 from refine.formats.clips import import_folder, load_clips
 from refine.motion import Motion, resample
+from refine.recogniser import OTHER
 from refine.synthetic import draw, perform, perform_together
 from renderers.checks import UserError, check_known
 from train.building import Material
@@ -359,6 +360,9 @@ def _check_labels(lower: tuple[str, ...], upper: tuple[str, ...], per_action: in
         for label in labels:
             if labels.count(label) > 1:
                 raise UserError(flag, f"names {label} twice", "name every label once")
+            if label == OTHER or "+" in label:
+                problem = f"the label {label!r} cannot be told from others in names of compositions"
+                raise UserError(flag, problem, "import the clips under another label")
     if not 1 <= per_action <= 1000:
         raise UserError("--per-action", f"expected 1 to 1000, got {per_action}")
 

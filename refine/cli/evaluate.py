@@ -44,6 +44,8 @@ class Evaluate:
     def run(self) -> None:
         if self.table:
             self.tabulate()
+        elif self.against is not None:
+            raise UserError("--against", "compares rows of a table", "give it with --table and evaluations")
         elif len(self.what) != 1 or self.benchmark is None:
             raise UserError("refine evaluate", "takes one run and its --benchmark", "for several use --table")
         else:
@@ -78,6 +80,8 @@ class Evaluate:
 
         if not self.what:
             raise UserError("refine evaluate --table", "no evaluation was given", "name .json files")
+        if self.out is not None and self.out.suffix != ".md":
+            raise UserError(self.out, "the table is a Markdown file", "end its name in .md")
         if self.out is not None:
             refuse_existing(self.out, self.force)
         evaluations = [load_evaluation(path) for path in self.what]

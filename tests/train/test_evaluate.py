@@ -15,7 +15,7 @@ from renderers.rotations import matrix_to_6d
 from train.building import build_benchmark
 from train.config import GENERATOR_PRESETS
 from train.data import DataConfig
-from train.evaluate import EvaluationConfig, Judge, evaluate, generated, operated, repeat
+from train.evaluate import EvaluationConfig, Judge, evaluate, generated, hash_recogniser, operated, repeat
 from train.generator import train_generator
 from train.recipes import synth_c
 from train.recogniser import RecogniserTraining, train_recognisers
@@ -157,6 +157,8 @@ def test_the_verb_writes_json_and_a_table_and_compares(run, benchmark, tmp_path,
     [
         (["evaluate"], "takes one run and its --benchmark"),
         (["evaluate", "--table"], "no evaluation was given"),
+        (["evaluate", "--table", "a.json", "-o", "b.json"], "end its name in .md"),
+        (["evaluate", "run", "--benchmark", "set", "--against", "real"], "give it with --table"),
         (["evaluate", "nowhere", "--benchmark", "nowhere"], "holds no benchmark"),
     ],
 )
@@ -175,6 +177,36 @@ def test_what_does_not_fit_is_refused(run, benchmark, judge, tmp_path):
     empty.mkdir()
     with pytest.raises(UserError, match="no such file"):
         evaluate(empty, benchmark, ONCE)
+
+
+def test_runs_that_do_not_belong_are_refused(run, benchmark, tmp_path):
+    for changes, words in (
+        ({"step": 1}, "is at step 1 of 2; finish it with --resume"),
+        ({"data": {"benchmark": "another"}}, "was not trained on"),
+    ):
+        folder = tmp_path / words[:5]
+        folder.mkdir()
+        for path in run.iterdir():
+            (folder / path.name).write_bytes(path.read_bytes())
+        described = folder / "last.json"
+        described.write_text(json.dumps(json.loads(described.read_text()) | changes))
+        with pytest.raises(UserError, match=words):
+            evaluate(folder, benchmark, ONCE)
+    (folder / "config.json").write_text((run / "config.json").read_text().replace('"mask"', '"veil"'))
+    with pytest.raises(UserError, match="is no configuration of a generator"):
+        evaluate(folder, benchmark, ONCE)
+
+
+def test_what_counts_as_right_is_part_of_a_recognisers_hash(benchmark, tmp_path):
+    for path in (benchmark.folder / "recognisers").glob("legs.*"):
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    before, described = hash_recogniser(tmp_path / "legs.safetensors"), tmp_path / "legs.json"
+    described.write_text(described.read_text().replace('"seconds":', '"took":'))
+    assert hash_recogniser(tmp_path / "legs.safetensors") == before
+    found = json.loads(described.read_text())
+    found["config"]["alike"] = [["a", "b"]]
+    described.write_text(json.dumps(found))
+    assert hash_recogniser(tmp_path / "legs.safetensors") != before
 
 
 def test_every_row_changes_what_it_is_named_after_and_nothing_else():

@@ -120,7 +120,7 @@ def test_the_batch_of_a_bad_step_is_named(tmp_path):
         for terms in model.losses(step, random):
             yield terms | {"total": terms["total"] * (math.inf if step == 2 else 1)}
 
-    message = r"step 2: the term 'total' became inf on batch 2; there is no checkpoint yet; lower --loop.learning-rate"
+    message = r"step 2: the term 'total' became inf on batch 2; there is no checkpoint yet; start again .* a lower --loop.learning-rate"
     with pytest.raises(UserError, match=message):
         fit(model, losses, LoopConfig(steps=5), tmp_path, "mae", {}, dict, describe=lambda step: f"batch {step}")
 
@@ -368,3 +368,12 @@ def test_every_step_draws_afresh_from_both_streams(tmp_path):
 
     run(tmp_path / "run", 10, losses=recording)
     assert len({value for pair in drawn for value in pair}) == 20
+
+
+def test_weights_that_a_step_broke_are_not_written(tmp_path):
+    """A huge step from a finite gradient: the loss of the step is fine, that of the weights after it is not."""
+    run(tmp_path / "run", 5)
+    kept = {name: (tmp_path / "run" / name).read_bytes() for name in ("state.safetensors", "last.safetensors")}
+    with pytest.raises(UserError, match=r"the term 'total' became (nan|inf).*start again in another folder"):
+        run(tmp_path / "run", 6, resume=True, learning_rate=1e38, save_every=1, warmup=0)
+    assert kept == {name: (tmp_path / "run" / name).read_bytes() for name in kept}
