@@ -214,7 +214,7 @@ def test_the_names_of_bandai_namcos_files_make_the_sets(recipe, trained, styles,
         ({"name": "custom", "lower": ("walk",), "upper": ("walk",)}, "custom: needs labels to pair"),
         ({"name": "custom", "lower": ("walk", "walk"), "upper": ("wave",)}, "--lower: names walk twice"),
         ({"name": "custom", "lower": ("walk",), "upper": ("other",)}, "--upper: the label 'other' cannot be told"),
-        ({"name": "custom", "lower": ("a+b",), "upper": ("wave",)}, "--lower: the label 'a.b' cannot be told"),
+        ({"name": "custom", "lower": ("a+b",), "upper": ("wave",)}, "--lower: the label 'a+b' cannot be told"),
         (
             {"name": "custom", "lower": ("wlk",), "upper": ("wave",), "source": "clips.npz"},
             "clips.npz: unknown name 'wlk'; did you mean walk?",
