@@ -120,9 +120,7 @@ def test_the_batch_of_a_bad_step_is_named(tmp_path):
         for terms in model.losses(step, random):
             yield terms | {"total": terms["total"] * (math.inf if step == 2 else 1)}
 
-    message = (
-        r"step 2: the term 'total' became inf on batch 2; there is no checkpoint yet; start again"
-    )
+    message = r"step 2: the term 'total' became inf on batch 2; there is no checkpoint yet; start again"
     with pytest.raises(UserError, match=message):
         fit(model, losses, LoopConfig(steps=5), tmp_path, "mae", {}, dict, describe=lambda step: f"batch {step}")
 
