@@ -65,12 +65,13 @@ def lesson_of(benchmark: Benchmark, kind: Kind, held_out: float, seed: int) -> L
 
 
 def lesson_of_a_part(benchmark: Benchmark, kind: Kind, held_out: float, seed: int) -> Lesson:
-    """Single actions, as one part of the body shows them: those that live there, and all others as one class."""
+    """Single actions, as one part of the body shows them: those that live there, and all others as one class.
+
+    The test clips, of which the test compositions are made, are not learned. A generator's training clips are.
+    """
     own, joints = (benchmark.lower, LEG_JOINTS) if kind == "legs" else (benchmark.upper, ARM_JOINTS)
     classes = (*own, OTHER)
-    test = benchmark.clips("test")
-    clips = [*benchmark.clips("train"), *test, *benchmark.clips("extra")]
-    learned, rest = split(clips, held_out, seed)
+    learned, rest = split([*benchmark.clips("train"), *benchmark.clips("extra")], held_out, seed)
     frames = benchmark.frames
 
     def draw(random: torch.Generator) -> Examples:
@@ -83,7 +84,7 @@ def lesson_of_a_part(benchmark: Benchmark, kind: Kind, held_out: float, seed: in
         chosen = [(motion, end * third // 2) for motion, end in zip(motions, last, strict=True) for third in range(3)]
         return windows(chosen, frames, classes)
 
-    unseen = {"held out": spread(rest), "test": spread(test)}
+    unseen = {"held out": spread(rest), "test": spread(benchmark.clips("test"))}
     return Lesson(len(learned), classes, joints, draw, spread(learned), unseen)
 
 
