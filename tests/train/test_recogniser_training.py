@@ -172,7 +172,7 @@ def test_disturbed_clips_are_rotations_turned_as_far_as_is_said(generator):
     noise = 0.1
     turned = disturb(six, noise, generator)
     assert torch.allclose(matrix_to_6d(matrix_from_6d(turned)), turned, atol=1e-5)
-    relative = matrix_from_6d(turned) @ matrix_from_6d(six).mT
+    relative = matrix_from_6d(six).mT @ matrix_from_6d(turned)
     turns = matrix_to_axis_angle(relative)
     of_clip = turns.mean(1, keepdim=True)
     # Deviations of s U(0, 1)^2 make a mean square of s^2 / 5; the mean of 12 frames keeps 1 / 12 of their part.
