@@ -30,6 +30,7 @@ from train.recogniser import (
     load_recognisers,
     place_of,
     train_recognisers,
+    weights_of,
 )
 
 LOWER, UPPER = ("marking-time-and-knee-lifting", "walk"), ("elbow-circling", "standing-rotation")
@@ -181,6 +182,27 @@ def test_disturbed_clips_are_rotations_turned_as_far_as_is_said(generator):
     levels = (turns - of_clip).square().mean((1, 2, 3)).sqrt() * (12 / 11) ** 0.5
     assert levels.max() < 1.1 * noise and levels.min() < 0.1 * noise
     assert disturb(six, 0.0, generator) is six
+
+
+def test_the_last_layer_names_what_is_left_and_features_stay(benchmark):
+    settings = replace(SETTINGS, kinds=("mask", "legs"), epochs=4)
+    before = train_recognisers(benchmark.folder, settings)
+    features = load_recogniser(place_of(benchmark, "mask"))
+    after = train_recognisers(benchmark.folder, replace(settings, finish=300), force=True)
+    assert before["mask"]["accuracy"]["learned"] < 1 and not before["mask"]["finished"]
+    assert (
+        after["mask"]["accuracy"]["learned"] > before["mask"]["accuracy"]["learned"] + 0.1 and after["mask"]["finished"]
+    )
+    assert after["legs"]["accuracy"] == before["legs"]["accuracy"] and not after["legs"]["finished"]
+    six = stacked(benchmark.compositions("true"))
+    finished = load_recogniser(place_of(benchmark, "mask"))
+    assert torch.equal(features_of(features, six).features, features_of(finished, six).features)
+
+
+def test_classes_weigh_alike(benchmark):
+    lesson = lesson_of(benchmark, "legs", 0.2, 0)
+    weights, counts = weights_of(lesson), torch.bincount(lesson.learned.classes)
+    assert torch.allclose(weights * counts, torch.full((3,), float(counts.sum()) / 3))
 
 
 def test_a_half_is_every_other_composition_of_each_pair(benchmark):
