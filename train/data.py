@@ -42,7 +42,10 @@ class DataConfig:
     lam: LambdaLaw = "gaussian"
     """Lambda from N(0.5, 0.1), from U(0, 1) (the paper's ablation "w/o Gaussian"), or always a half."""
     legacy_windows: bool = False
-    """Sample as ACTOR does: the last possible start is never drawn, and padding counts as real frames."""
+    """Draw windows as ACTOR does: never from the last possible start."""
+    padding: Literal["masked", "real"] | None = None
+    """Whether the frames in which a clip that is too short stands still are masked, or learned as ACTOR does. None
+    means learned for a benchmark, whose test compositions hold such frames too, and elsewhere masked."""
     held_out: float | None = None
     """Share of each action's clips that is never trained on but measured; at 0 other windows of the training clips are
     measured. None means 0 for a benchmark, which keeps test clips of its own, and elsewhere 0.2."""
@@ -132,8 +135,8 @@ class ClipStore:
         return rotations, root
 
     def real_frames(self, draw: Draw, config: DataConfig) -> Tensor:
-        """[B] how many frames of each pair are no padding of either side; all in the legacy rule."""
-        if config.legacy_windows:
+        """[B] how many frames of each pair are no padding of either side; all where padding counts as real."""
+        if config.padding == "real":
             return torch.full((len(draw.lam),), config.frames)
         return (self.lengths[draw.clips] - draw.starts).amin(1).clamp(max=config.frames)
 
@@ -188,7 +191,7 @@ def open_source(config: DataConfig, rest_joints: Tensor) -> Source:
             if given not in (None, has):
                 problem = f"the benchmark {benchmark.name} has {has:g}, not {given:g}"
                 raise UserError(f"--data.{name}", problem, "leave it out, or build a benchmark of your own")
-        config = settled(replace(config, fps=benchmark.fps, frames=benchmark.frames), held_out=0.0)
+        config = settled(replace(config, fps=benchmark.fps, frames=benchmark.frames), 0.0, "real")
         clips = chosen(benchmark.clips("train"), config)
         return Source(config, clips, benchmark.pairs, benchmark.lower, benchmark.upper, benchmark.hash)
     config = settled(config)
@@ -201,13 +204,14 @@ def open_source(config: DataConfig, rest_joints: Tensor) -> Source:
     return Source(config, chosen(motions, config))
 
 
-def settled(config: DataConfig, held_out: float = 0.2) -> DataConfig:
+def settled(config: DataConfig, held_out: float = 0.2, padding: Literal["masked", "real"] = "masked") -> DataConfig:
     """The configuration with everything settled that was left open."""
     return replace(
         config,
         fps=30.0 if config.fps is None else float(config.fps),
         frames=60 if config.frames is None else config.frames,
         held_out=held_out if config.held_out is None else config.held_out,
+        padding=config.padding or padding,
     )
 
 

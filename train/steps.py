@@ -175,7 +175,8 @@ def decoupling_term(made: Tensor, batch: Pairs, decoupler: Decoupler, loss: Gene
     some = slice(len(chances))
     valid = batch.valid[some]
     frames = (chances + valid).topk(loss.decoupling_frames, dim=1).indices
-    # Padded frames are zero, which is no rotation; any pose will do, since none of them is drawn.
+    # Padded frames are zero, which is no rotation. One is drawn only where a pair has fewer real ones than are asked
+    # for; it then shows i, and no gradient follows.
     made = torch.where(valid[:, :, None, None], made[some], batch.features_i[some])
     composed = Clips(*stand(*from_features(made), decoupler.body.rest_joints))
     i, j = (

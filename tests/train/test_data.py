@@ -111,7 +111,7 @@ def test_taking_windows_leaves_the_store_as_it_is():
     assert torch.equal(store.rotations, before[0]) and torch.equal(store.root, before[1])
 
 
-def test_padding_is_masked_unless_legacy():
+def test_padding_is_masked_unless_it_counts_as_real():
     config = settled(DataConfig(frames=10))
     batch = batch_of([clip(7), clip(30, "wave")], [("walk", "wave")], 1, config)
     assert batch.valid.tolist() == [[True] * 7 + [False] * 3]
@@ -120,8 +120,8 @@ def test_padding_is_masked_unless_legacy():
     assert (batch.features_i[0, :, 24, 3:] == 0).all()
     assert torch.equal(batch.features_i[0, 6:, :24], batch.features_i[0, 6:7, :24].expand(4, 24, 6))
     torch.testing.assert_close(batch.height_i, clip(7).root[:1, 1])
-    legacy = batch_of([clip(7), clip(30, "wave")], [("walk", "wave")], 1, replace(config, legacy_windows=True))
-    assert legacy.valid.all()
+    learned = batch_of([clip(7), clip(30, "wave")], [("walk", "wave")], 1, replace(config, padding="real"))
+    assert learned.valid.all()
 
 
 def test_pairs_carry_their_labels_and_lambda():
@@ -242,8 +242,8 @@ def test_without_held_out_clips_all_are_trained_on_and_measured():
 
 def test_what_is_left_open_is_settled():
     config = settled(DataConfig())
-    assert (config.fps, config.frames, config.held_out) == (30.0, 60, 0.2)
-    given = DataConfig(fps=25.0, frames=20, held_out=0.5)
+    assert (config.fps, config.frames, config.held_out, config.padding) == (30.0, 60, 0.2, "masked")
+    given = DataConfig(fps=25.0, frames=20, held_out=0.5, padding="real")
     assert settled(given) == given
 
 
@@ -267,10 +267,11 @@ def benchmark(tmp_path, monkeypatch):
 def test_a_benchmark_brings_its_rate_length_and_pairs(benchmark):
     found = open_source(DataConfig(source=benchmark), REST)
     assert (found.config.fps, found.config.frames, found.config.held_out) == (20.0, 45, 0.0)
+    assert found.config.padding == "real"
     assert [motion.label for motion in found.clips] == ["walk", "wave", "drink"] * 2
     assert pair_labels(found) == [("walk", "wave")]
     assert found.hash == "abc"
-    agreeing = DataConfig(source=benchmark, fps=20.0, frames=45, held_out=0.5)
+    agreeing = DataConfig(source=benchmark, fps=20.0, frames=45, held_out=0.5, padding="masked")
     assert open_source(agreeing, REST).config == agreeing
 
 
