@@ -11,7 +11,6 @@ pairs (see refinement.py). The table goes beside the JSON, as Markdown.
 """
 
 import argparse
-import json
 import platform
 import shlex
 import sys
@@ -24,6 +23,7 @@ from pathlib import Path
 import refinement
 import torch
 from inpainting import SHIPPED, Pair, batch, draw_pair, inpainting, judgements, shares
+from machine import keep
 from torch import nn
 from tqdm import tqdm
 
@@ -305,11 +305,7 @@ def main() -> None:
     with tempfile.TemporaryDirectory() as temporary:
         report["rungs"] = climb(rungs, settings, args.real, args.runs or Path(temporary), args.workers)
     report["seconds"] = round(time.monotonic() - start)
-    print(tables(report))
-    if args.out:
-        args.out.parent.mkdir(parents=True, exist_ok=True)
-        args.out.write_text(json.dumps(report, indent=1) + "\n")
-        args.out.with_suffix(".md").write_text(tables(report))
+    keep(args.out, report, tables(report))
 
 
 if __name__ == "__main__":

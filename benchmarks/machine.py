@@ -1,5 +1,6 @@
-"""What a figure was measured on."""
+"""What a figure was measured on, and where it is kept."""
 
+import json
 import os
 import platform
 from collections.abc import Iterable
@@ -24,3 +25,12 @@ def versions(packages: Iterable[str]) -> dict[str, str]:
         except PackageNotFoundError:
             found[package] = "not installed"
     return found
+
+
+def keep(out: Path | None, report: dict, tables: str):
+    """Print the tables; write the report as JSON to ``out``, if that is asked for, and the tables beside it."""
+    print(tables)
+    if out:
+        out.parent.mkdir(parents=True, exist_ok=True)
+        out.write_text(json.dumps(report, indent=1) + "\n")
+        out.with_suffix(".md").write_text(tables)

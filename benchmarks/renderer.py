@@ -30,7 +30,7 @@ from pathlib import Path
 
 import torch
 from accuracy import errors, find_truth
-from machine import hardware, versions
+from machine import hardware, keep, versions
 from peers import Peer, peers
 from renderer_tables import markdown
 from stages import decoupling_steps
@@ -258,11 +258,7 @@ def main() -> None:
         ],
     }
     report["minutes"] = (time.perf_counter() - start) / 60
-    print(markdown(report))
-    if out:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(json.dumps(report, indent=1) + "\n")
-        out.with_suffix(".md").write_text(markdown(report))
+    keep(out, report, markdown(report))
 
 
 if __name__ == "__main__":

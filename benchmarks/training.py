@@ -13,7 +13,6 @@ so that whatever else the machine does falls on both. A preset that takes it at 
 """
 
 import argparse
-import json
 import os
 import shlex
 import statistics
@@ -25,7 +24,7 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from machine import hardware, versions
+from machine import hardware, keep, versions
 from stages import Watched, clock_of, medians, watched
 from torch import nn
 from tqdm import tqdm
@@ -283,11 +282,7 @@ def main() -> None:
         "by_pictures": by_pictures(plan, args.device),
     }
     report["minutes"] = (time.perf_counter() - start) / 60
-    print(markdown(report))
-    if out:
-        out.parent.mkdir(parents=True, exist_ok=True)
-        out.write_text(json.dumps(report, indent=1) + "\n")
-        out.with_suffix(".md").write_text(markdown(report))
+    keep(out, report, markdown(report))
 
 
 if __name__ == "__main__":

@@ -209,9 +209,8 @@ def bn1_c(motions: list[Motion], where: str, seed: int = 0, test: int = 5) -> Ma
     splits = {"train": [], "test": []}
     for label, of_label in clips.items():
         for style in sorted(held_out):
-            splits["test"] += _enough([clip for clip in of_label if style_of(clip) == style], 1, where, label, style)[
-                :1
-            ]
+            of_style = [clip for clip in of_label if style_of(clip) == style]
+            splits["test"] += _enough(of_style, 1, where, label, style)[:1]
         splits["train"] += [clip for clip in of_label if style_of(clip) not in held_out]
     return _clips_material(
         "bn1-c",

@@ -219,7 +219,7 @@ def load_recognisers(benchmark: Benchmark) -> dict[str, Recogniser]:
     for kind in kinds_of(benchmark):
         path = place_of(benchmark, kind)
         if not path.with_suffix(".json").is_file():
-            raise UserError(path, "there is no such recogniser", f"train it with `{command}`")
+            raise UserError(path, "there is no such recogniser", f"train it with `{command} --kinds {kind}`")
         tensors, description = read_weights(path, "recogniser")
         if description.get("benchmark", {}).get("hash") != benchmark.hash:
             raise UserError(
