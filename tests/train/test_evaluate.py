@@ -10,6 +10,7 @@ from refine.cli.main import main
 from refine.coupling import CouplingConfig, couple_features
 from refine.generator import TINY, Generator, GeneratorConfig
 from refine.motion import from_features, to_features
+from refine.recogniser import BothActions
 from renderers.checks import UserError
 from renderers.rotations import matrix_to_6d
 from train.building import build_benchmark
@@ -65,7 +66,15 @@ def test_test_compositions_are_perfect_by_every_measure_of_distance(judge):
     true = judge.measure(judge.compositions["true"], torch.Generator())
     assert true["fid_true"] < 1e-3 * true["fid_c"]
     assert true["nearest_true"] == true["covered_true"] == 0 < masked["nearest_true"]
-    assert true["both_actions"] <= min(true["legs"], true["arms"])
+
+
+def test_shares_of_parts_are_each_under_its_name(judge, monkeypatch):
+    """Every leg right, every fourth arm, never both, which no body could do."""
+    n = len(judge.labels)
+    found = BothActions(torch.ones(n) > 0, torch.arange(n) % 4 == 0, torch.zeros(n) > 0)
+    monkeypatch.setattr("train.evaluate.both_actions", lambda *_: found)
+    measured = judge.measure(judge.compositions["mask"], torch.Generator())
+    assert [measured[name] for name in ("legs", "arms", "both_actions")] == [1.0, 0.25, 0.0]
 
 
 def test_nearness_is_within_a_pair(judge):

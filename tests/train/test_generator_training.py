@@ -7,9 +7,10 @@ from dataclasses import replace
 
 import pytest
 import torch
+from safetensors.torch import load_file, save_file
 
 from refine.formats.clips import save_clips
-from refine.generator import TINY, Generator, generate_motions, label_weights
+from refine.generator import SPREAD, TINY, Generator, generate_motions, label_weights
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion
 from renderers.body import Body
@@ -148,6 +149,29 @@ def test_a_run_on_other_clips_is_not_resumed(clips, mae, tmp_path):
     save_clips(tmp_path / "clips.npz", [walking(41), replace(walking(50), label="wave")])
     with pytest.raises(UserError, match=r"last.json: is of a run on other clips; give the same"):
         train_generator(replace(whole, resume=True))
+
+
+def test_a_run_with_another_mae_in_the_same_place_is_not_resumed(mae, tmp_path):
+    own = tmp_path / "mae.safetensors"
+    for path in (own, own.with_suffix(".json")):
+        path.write_bytes(mae.with_suffix(path.suffix).read_bytes())
+    whole = config(tmp_path / "run", own, loop=LoopConfig(steps=1, save_every=1))
+    train_generator(whole)
+    tensors = load_file(own)
+    save_file(tensors | {"mask_token": tensors["mask_token"] + 1}, own)
+    with pytest.raises(UserError, match=r"last.json: is of a run with another MAE; give the same"):
+        train_generator(replace(whole, resume=True))
+
+
+def test_a_generator_is_standardised_by_the_compositions_it_is_trained_on(mae, tmp_path):
+    training = Training(config(tmp_path / "run", mae, loss=PLAIN), Processes(), "cpu")
+    classes = training.pairs[torch.arange(4000) % len(training.pairs)]
+    features, _ = training.compositions(classes, torch.Generator().manual_seed(99))
+    flat = features.flatten(2).flatten(0, 1)
+    centre, spread = training.generator.centre, training.generator.spread
+    assert (centre - flat.mean(0)).abs().max() < 0.1 * flat.std(0).max()
+    assert (spread / (flat.std(0) + SPREAD) - 1).abs().max() < 0.2
+    assert spread.max() > 5 * spread.min()
 
 
 def test_the_pairs_that_a_step_broke_on_are_named(clips, mae, tmp_path, monkeypatch):

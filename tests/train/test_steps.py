@@ -149,6 +149,7 @@ def test_the_weight_of_the_kl_term_over_the_steps():
     rising = GeneratorLoss(kl=1e-2, kl_first=1e-4, kl_ramp=10)
     assert rising.kl_at(0) == 1e-4 and rising.kl_at(5) == pytest.approx(1e-3)
     assert [rising.kl_at(step) for step in (10, 11, 1000)] == [1e-2] * 3
+    assert GeneratorLoss(kl=1e-2, kl_first=1e-4).kl_at(0) == 1e-2  # no steps to rise in
     with pytest.raises(UserError, match="cannot rise"):
         GeneratorLoss(kl_first=0.0)
 
