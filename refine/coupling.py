@@ -6,7 +6,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
-from refine.energies import EnergySpace, energy_signal, joint_energies
+from refine.energies import EnergySpace, energy_signal, joint_energies, spread_to_joints
 from refine.motion import Motion, from_features, to_features
 from renderers.checks import UserError, check_shapes
 from renderers.rotations import matrix_from_6d, matrix_to_6d
@@ -55,12 +55,20 @@ def sample_lam(count: int, generator: torch.Generator, law: LambdaLaw = "gaussia
     return (0.5 + 0.1 * torch.randn(count, generator=generator)).clamp(0, 1)
 
 
-def coupling_weights(energies_i: Tensor, energies_j: Tensor, lam: Tensor | float, config: CouplingConfig) -> Tensor:
+def coupling_weights(
+    energies_i: Tensor,
+    energies_j: Tensor,
+    lam: Tensor | float,
+    config: CouplingConfig,
+    lean: Tensor | None = None,
+) -> Tensor:
     """Eq. 3's share of sub-action i in every joint.
 
     Args:
         energies_i, energies_j: [... 24].
         lam: scalar or [...].
+        lean: [... 5] log odds by which i's share of each of ``skeleton.PARTS`` is raised; the root does not lean. None
+            is Eq. 3 as published.
 
     Returns:
         [... 24] in 0..1. Where neither moves it is ``lam``. Joint 0 stands for the root: the mean weight of the two
@@ -78,6 +86,9 @@ def coupling_weights(energies_i: Tensor, energies_j: Tensor, lam: Tensor | float
     root = weights[..., HIPS].mean(-1, keepdim=True)
     if config.root == "legs_owner" and config.mask:
         root = (torch.sign(root - 0.5) + 1) / 2
+    if lean is not None:
+        of_i = of_i * spread_to_joints(lean).exp()
+        weights = of_i / (of_i + of_j)
     return torch.cat([root, weights[..., 1:]], dim=-1)
 
 
@@ -165,13 +176,19 @@ def couple(
 
 
 def couple_features(
-    x_i: Tensor, x_j: Tensor, lam: Tensor, rest_joints: Tensor, config: CouplingConfig | None = None
+    x_i: Tensor,
+    x_j: Tensor,
+    lam: Tensor,
+    rest_joints: Tensor,
+    config: CouplingConfig | None = None,
+    lean: Tensor | None = None,
 ) -> Tensor:
-    """Eq. 3 on a batch in ACTOR's layout: x_i, x_j [B T 25 6], lam [B] -> [B T 25 6]."""
+    """Eq. 3 on a batch in ACTOR's layout: x_i, x_j [B T 25 6], lam [B] -> [B T 25 6]; lean [B 5] as in
+    ``coupling_weights``."""
     config = config or CouplingConfig()
     check_shapes("couple_features", x_i=(x_i, "B T 25 6"), x_j=(x_j, "B T 25 6"), lam=(lam, "B"))
     poses = [from_features(x) for x in (x_i, x_j)]
     energies = [joint_energies(energy_signal(*pose, rest_joints, config.energy_space)) for pose in poses]
-    weights = coupling_weights(*energies, lam, config)
+    weights = coupling_weights(*energies, lam, config, lean)
     rotations, root = blend(*poses[0], *poses[1], weights, rest_joints, config.blend_space)
     return to_features(matrix_to_6d(rotations), root)

@@ -6,11 +6,13 @@ multiply into all three label tables; a one-hot row is exactly ACTOR's hard labe
 
 import math
 from collections.abc import Sequence
+from contextlib import nullcontext
 from dataclasses import asdict, dataclass
 from typing import Literal, NamedTuple
 
 import torch
 from torch import Tensor, nn
+from torch.nn.attention import SDPBackend, sdpa_kernel
 
 from refine.motion import Motion, from_features
 from renderers.checks import UserError, check_finite, check_known, check_range, check_shapes
@@ -218,9 +220,12 @@ class Generator(nn.Module):
             valid=(valid, "B T"),
             noise=(noise, "B D"),
         )
-        mean, log_variance = (value.to(features.dtype) for value in self.encode(features, weights, valid))
-        latent = mean + (log_variance / 2).exp() * noise
-        return Reconstruction(self.decode(latent, weights, valid).to(features.dtype), mean, log_variance)
+        # The fused kernel's gradient is slow in bfloat16 on a processor.
+        plain = features.device.type == "cpu" and torch.is_autocast_enabled("cpu")
+        with sdpa_kernel(SDPBackend.MATH) if plain else nullcontext():
+            mean, log_variance = (value.to(features.dtype) for value in self.encode(features, weights, valid))
+            latent = mean + (log_variance / 2).exp() * noise
+            return Reconstruction(self.decode(latent, weights, valid).to(features.dtype), mean, log_variance)
 
 
 def mix(weights: Tensor, table: Tensor) -> Tensor:

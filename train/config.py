@@ -14,6 +14,7 @@ from renderers.checks import UserError, check_range
 from train.data import DataConfig
 from train.loop import LoopConfig
 from train.pictures import PictureConfig
+from train.shares import SharesConfig
 from train.steps import GeneratorLoss
 
 
@@ -54,14 +55,15 @@ class GeneratorTraining:
     """Run folder."""
     variant: str = ""
     """A row of the result tables; what it stands for goes before other flags: pretrain-mask, disentanglement,
-    without-mask, without-gaussian, all-classes, without-dr, dr-paper, dr-one-camera or with-dr. None leaves the preset
-    as it is."""
+    without-mask, without-gaussian, all-classes, without-dr, dr-paper, dr-generated, dr-shares, dr-one-camera or
+    with-dr. None leaves the preset as it is."""
     mae: Path | None = None
     """Weights of the MAE that the decoupling loss asks; none takes those that come with the package."""
     data: DataConfig = field(default_factory=DataConfig)
     network: NetworkConfig = field(default_factory=NetworkConfig)
     loss: GeneratorLoss = field(default_factory=GeneratorLoss)
     coupling: CouplingConfig = field(default_factory=CouplingConfig)
+    shares: SharesConfig = field(default_factory=SharesConfig)
     decoupling: DecouplingConfig = field(default_factory=DecouplingConfig)
     loop: LoopConfig = field(default_factory=LoopConfig)
     batch: int = 32
@@ -132,20 +134,23 @@ MAE_PRESETS: dict[str, tuple[str, MAETraining]] = {
 
 GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
     "tiny": (
-        "A small network for trying things out: minutes on one core.",
+        "A small network for trying things out: minutes on one core. Leaves the shares of Eq. 3.",
         GeneratorTraining(
             data=DataConfig(synthetic_clips=6),
             network=TINY,
             loss=GeneratorLoss(decoupling_clips=2, decoupling_frames=1),
+            shares=SharesConfig(looks=0),
             loop=LoopConfig(steps=600, learning_rate=1e-3, warmup=20, clip_gradients=1.0, save_every=200),
             measured=64,
         ),
     ),
     "small": (
-        "A benchmark's few actions: a quarter of an hour on one core.",
+        "A benchmark's few actions: ten minutes on one core.",
         GeneratorTraining(
             network=SMALL,
-            loss=GeneratorLoss(kl=1e-4, kl_first=1e-5, kl_ramp=2500, decoupling_clips=2, decoupling_frames=1),
+            loss=GeneratorLoss(
+                kl=1e-4, kl_first=1e-5, kl_ramp=2500, decoupling_clips=2, decoupling_frames=1, decoupling_every=2
+            ),
             decoupling=DecouplingConfig(precision="bfloat16"),
             loop=LoopConfig(
                 steps=5000,
@@ -157,6 +162,7 @@ GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
                 save_every=1000,
             ),
             batch=16,
+            precision="bfloat16",
         ),
     ),
     "paper": (

@@ -15,15 +15,18 @@ from refine.generator import Generator, GeneratorConfig, label_weights
 from refine.mae import load_mae
 from renderers.body import Body
 from renderers.checks import UserError
+from renderers.skeleton import PART_NAMES
 from train.checkpoints import hash_motions, hash_tensors, provenance, read_weights
 from train.config import GeneratorTraining
 from train.data import ClipStore, Draw, Pairs, draw_batch, draw_windows, index_pairs, open_source, pair_labels, split
 from train.loop import check_device, check_loop, fit, open_run, seed_of
 from train.processes import Processes, together
+from train.shares import refine_shares
 from train.steps import GeneratorLoss, Noise, Share, draw_noise, generator_step
 
 MEASURED = 3  # seed of what is drawn to measure with
 TYPICAL, PRIOR = 4, 5  # seeds of what is drawn to standardise by, and to fit priors to
+SHARES = 6  # and, with the run's seed, to refine shares with
 FITTED = 256  # compositions of a pair that its prior is fitted to
 
 
@@ -56,8 +59,10 @@ class Training:
         learned, unseen = split(source.clips, config.data.held_out, config.data.seed)
         self.learned, self.unseen = ClipStore.build(learned), ClipStore.build(unseen)
         self.pairs = index_pairs(self.learned, labels)
-        mae = load_mae(config.mae).to(device) if config.loss.decoupling else None
+        mae = load_mae(config.mae).to(device) if config.loss.decoupling or config.shares.looks else None
         self.decoupler = Decoupler(self.body, mae, config.decoupling) if mae else None
+        leans = known_leans(config.out / "last.json", self.learned.classes) if config.resume else None
+        self.leans = self.refine_shares() if leans is None else leans
         with torch.random.fork_rng():
             torch.manual_seed(seed_of(config.loop.seed))
             paired = tuple(dict.fromkeys(tuple(sorted(pair)) for pair in labels))
@@ -79,16 +84,31 @@ class Training:
             },
             "mae_sha256": hash_tensors(mae) if mae else None,
             "loss": config.loss,
+            "leans": name_leans(self.leans, self.learned.classes),
             "processes": processes.count,
         }
-        self.learned, self.unseen = self.learned.to(device), self.unseen.to(device)
+        self.learned, self.unseen, self.leans = (held.to(device) for held in (self.learned, self.unseen, self.leans))
+
+    def refine_shares(self) -> Tensor:
+        """What pairs of classes lean to [C C 5], by decoupling: the same on every process."""
+        config, store = self.config, self.learned.to(self.device)
+        return refine_shares(
+            lambda classes, random: store.pairs(draw_windows(store, classes, config.data, random), config.data),
+            self.pairs,
+            len(store.classes),
+            self.decoupler,
+            config.coupling,
+            config.shares,
+            torch.Generator().manual_seed(seed_of(config.loop.seed, SHARES)),
+            quiet=not self.processes.first,
+        )
 
     def compositions(self, classes: Tensor, random: torch.Generator) -> tuple[Tensor, Pairs]:
         """Pseudo-compositions [B T 25 6] of pairs of classes [B 2], and what they are made of."""
-        data = self.config.data
+        data, coupling = self.config.data, self.config.coupling
         drawn = self.learned.pairs(draw_windows(self.learned, classes, data, random), data)
-        rest_joints = self.body.rest_joints.to(drawn.lam)
-        return couple_features(drawn.features_i, drawn.features_j, drawn.lam, rest_joints, self.config.coupling), drawn
+        rest_joints, lean = self.body.rest_joints.to(drawn.lam), self.leans[drawn.class_i, drawn.class_j]
+        return couple_features(drawn.features_i, drawn.features_j, drawn.lam, rest_joints, coupling, lean), drawn
 
     @torch.no_grad()
     def fit_priors(self):
@@ -147,8 +167,9 @@ class Training:
             len(real[some]) / len(real),
             len(noise.chances[some]) / len(noise.chances),
         )
+        batch = store.pairs(Draw(*(values[some] for values in drawn)), self.config.data)
         return generator_step(
-            store.pairs(Draw(*(values[some] for values in drawn)), self.config.data),
+            batch,
             Noise(*(values[some].to(self.device) for values in noise)),
             self.generator,
             self.body,
@@ -157,6 +178,7 @@ class Training:
             self.config.coupling,
             share,
             self.config.precision == "bfloat16",
+            self.leans[batch.class_i, batch.class_j],
         )
 
     def measure(self) -> dict[str, float]:
@@ -185,6 +207,24 @@ class Training:
         bad = bad or list(range(self.config.batch))
         named = "; ".join(self.learned.describe(drawn, item) for item in bad[:3])
         return f"{named} and {len(bad) - 3} more" if len(bad) > 3 else named
+
+
+def name_leans(leans: Tensor, classes: tuple[str, ...]) -> dict[str, dict[str, float]]:
+    """The log odds [C C 5] of the pairs that lean, each pair once."""
+    places = (leans != 0).any(-1).triu().nonzero().tolist()
+    return {f"{classes[i]}+{classes[j]}": dict(zip(PART_NAMES, leans[i, j].tolist(), strict=True)) for i, j in places}
+
+
+def known_leans(last: Path, classes: tuple[str, ...]) -> Tensor | None:
+    """What ``name_leans`` wrote of a run that goes on; none if it wrote nothing yet."""
+    if not last.exists():
+        return None
+    leans = torch.zeros(len(classes), len(classes), len(PART_NAMES))
+    for pair, by_part in json.loads(last.read_text()).get("leans", {}).items():
+        i, j = map(classes.index, pair.split("+"))
+        leans[i, j] = torch.tensor([by_part[part] for part in PART_NAMES])
+        leans[j, i] = -leans[i, j]
+    return leans
 
 
 def refuse_others(last: Path, record: dict):

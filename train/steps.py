@@ -133,6 +133,7 @@ def generator_step(
     coupling: CouplingConfig,
     share: Share = WHOLE,
     half: bool = False,
+    lean: Tensor | None = None,
 ) -> dict[str, Tensor]:
     """Terms of LFCA's objective: reconstruct the pseudo-composition of every pair, and look at some (Eqs. 4 to 7).
 
@@ -140,11 +141,12 @@ def generator_step(
         loss: with the weights of the step, see ``GeneratorLoss.at``.
         share: what ``batch`` and ``noise`` are of the whole batch.
         half: the network's products in bfloat16; everything else stays as it is.
+        lean: [B 5] of the pseudo-compositions, see ``coupling_weights``.
 
     Returns:
         scalars ``rc``, ``rcxyz``, ``kl``, ``dr`` (each unweighted, those with weight 0 absent) and ``total``.
     """
-    target = couple_features(batch.features_i, batch.features_j, batch.lam, body.rest_joints, coupling)
+    target = couple_features(batch.features_i, batch.features_j, batch.lam, body.rest_joints, coupling, lean)
     weights = label_weights(batch.class_i, batch.class_j, batch.lam, len(generator.config.classes))
     with torch.autocast(target.device.type, torch.bfloat16, enabled=half):
         made = generator(target, weights, batch.valid, noise.latent)
@@ -159,22 +161,25 @@ def generator_step(
         terms["rcxyz"] = share.frames * mean_over_frames(errors, batch.valid)
         total = total + loss.joints * terms["rcxyz"]
     if loss.decoupling and decoupler is not None:
-        looked = decoupling_term(made.features, batch, decoupler, loss, noise.chances) if len(noise.chances) else 0.0
+        frames, looked = loss.decoupling_frames, 0.0
+        if len(noise.chances):
+            looked = decoupling_term(made.features, batch, decoupler, frames, noise.chances)
         terms["dr"] = torch.as_tensor(share.drawn * looked).to(total)
         total = total + loss.decoupling * terms["dr"]
     return terms | {"total": total}
 
 
-def decoupling_term(made: Tensor, batch: Pairs, decoupler: Decoupler, loss: GeneratorLoss, chances: Tensor) -> Tensor:
+def decoupling_term(made: Tensor, batch: Pairs, decoupler: Decoupler, count: int, chances: Tensor) -> Tensor:
     """The decoupling loss of random real frames of the batch's first clips.
 
     Args:
         made: [B T 25 6].
+        count: of frames that are drawn of each clip.
         chances: [S T] in 0..1, of the first S clips; the real frames with the largest ones are drawn.
     """
     some = slice(len(chances))
     valid = batch.valid[some]
-    frames = (chances + valid).topk(loss.decoupling_frames, dim=1).indices
+    frames = (chances + valid).topk(count, dim=1).indices
     # Padded frames are zero, which is no rotation. One is drawn only where a pair has fewer real ones than are asked
     # for; it then shows i, and no gradient follows.
     made = torch.where(valid[:, :, None, None], made[some], batch.features_i[some])

@@ -30,7 +30,7 @@ def changed(config: GeneratorTraining, **groups: dict[str, Any]) -> GeneratorTra
 
 def plain(**groups: dict[str, Any]) -> Callable[[GeneratorTraining], GeneratorTraining]:
     """Without decoupling refinement, and with some fields replaced."""
-    return lambda config: changed(config, **{**groups, "loss": {"decoupling": 0.0}})
+    return lambda config: changed(config, **groups, loss={"decoupling": 0.0}, shares={"looks": 0})
 
 
 VARIANTS: dict[str, Variant] = {
@@ -45,14 +45,26 @@ VARIANTS: dict[str, Variant] = {
     "all-classes": Variant("All pairs of different actions.", plain(data={"pairs": "all"}), "full class"),
     "without-dr": Variant("LFCA without decoupling refinement.", plain(), "w/o DR"),
     "dr-paper": Variant(
-        "LFCA's decoupling refinement as published: one camera, whole pictures.",
-        lambda config: replace(config, decoupling=replace(PAPER, precision=config.decoupling.precision)),
+        "LFCA's decoupling refinement as published: of generated motions, one camera, whole pictures.",
+        lambda config: changed(
+            replace(config, decoupling=replace(PAPER, precision=config.decoupling.precision)), shares={"looks": 0}
+        ),
         "w/ DR",
+    ),
+    "dr-generated": Variant(
+        "Ours, of generated motions alone: the pseudo-compositions stay as Eq. 3 makes them.",
+        lambda config: changed(config, shares={"looks": 0}),
+    ),
+    "dr-shares": Variant(
+        "Ours, of the pseudo-compositions' shares alone.", lambda config: changed(config, loss={"decoupling": 0.0})
     ),
     "dr-one-camera": Variant(
         "Ours, seen from the front alone.", lambda config: changed(config, decoupling={"views": (0.0,)})
     ),
-    "with-dr": Variant("Ours: decoupling refinement of owned parts, from two sides.", lambda config: config),
+    "with-dr": Variant(
+        "Ours: decoupling refinement of the pseudo-compositions' shares and of generated motions, from two sides.",
+        lambda config: config,
+    ),
 }
 
 

@@ -251,7 +251,9 @@ def test_the_decoupling_term_draws_real_frames_of_the_first_clips(batch, decoupl
     drawn = set()
     for _ in range(20):
         chances = torch.rand(2, FRAMES, generator=random)
-        decoupling_term(batch.features_i * batch.valid[..., None, None], batch, decoupler, loss, chances)
+        decoupling_term(
+            batch.features_i * batch.valid[..., None, None], batch, decoupler, loss.decoupling_frames, chances
+        )
         assert seen["frames"].shape == (2, 5)
         assert set(seen["frames"][1].tolist()) == {0, 1, 2, 3, 4}
         drawn |= set(seen["frames"][0].tolist())
