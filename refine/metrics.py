@@ -57,18 +57,30 @@ def foot_skate(joints: Tensor, fps: float, height: float = 0.05) -> float:
 
     joints [T 24 3] metres. 0 when no foot is ever low for two frames.
     """
-    feet = joints[:, FEET]
-    low = feet[..., 1] < feet[..., 1].amin(0) + height
-    both = low[1:] & low[:-1]
-    sliding = feet[..., [0, 2]].diff(dim=0).norm(dim=-1) * fps
-    return float(sliding[both].mean()) if both.any() else 0.0
+    return float(foot_skates(joints[None], fps, height))
+
+
+def foot_skates(joints: Tensor, fps: float, height: float = 0.05) -> Tensor:
+    """``foot_skate`` of each of many clips [N T 24 3], [N] float64."""
+    check_shapes("foot_skates", joints=(joints, "N T 24 3"))
+    feet = joints[:, :, FEET]
+    low = feet[..., 1] < feet[..., 1].amin(1, keepdim=True) + height
+    both = low[:, 1:] & low[:, :-1]
+    sliding = feet[..., [0, 2]].diff(dim=1).norm(dim=-1).double() * fps
+    return (sliding * both).sum((1, 2)) / both.sum((1, 2)).clamp(min=1)
 
 
 def jitter(joints: Tensor, fps: float) -> float:
     """Mean size of the joints' third time derivative, metres per second cubed; joints [T 24 3] with T >= 4."""
-    if len(joints) < 4:
-        raise UserError("jitter", f"needs at least 4 frames, got {len(joints)}")
-    return float(joints.diff(n=3, dim=0).norm(dim=-1).mean() * fps**3)
+    return float(jitters(joints[None], fps))
+
+
+def jitters(joints: Tensor, fps: float) -> Tensor:
+    """``jitter`` of each of many clips [N T 24 3], [N] float64."""
+    frames = check_shapes("jitters", joints=(joints, "N T 24 3"))["T"]
+    if frames < 4:
+        raise UserError("jitter", f"needs at least 4 frames, got {frames}")
+    return joints.diff(n=3, dim=1).norm(dim=-1).double().mean((1, 2)) * fps**3
 
 
 def floor_penetration(joints: Tensor, floor: float | None = None) -> float:
@@ -81,9 +93,15 @@ def floor_penetration(joints: Tensor, floor: float | None = None) -> float:
             minimum would be. Where both feet are in the air for half of the time it lies too high.
     """
     check_shapes("floor_penetration", joints=(joints, "T 24 3"))
-    lowest = joints[:, FEET, 1].double().amin(1)
-    level = lowest.quantile(0.5) if floor is None else floor
-    return float((level - lowest).clamp(min=0).mean())
+    return float(floor_penetrations(joints[None], floor))
+
+
+def floor_penetrations(joints: Tensor, floor: float | None = None) -> Tensor:
+    """``floor_penetration`` of each of many clips [N T 24 3], [N] float64; each has its own floor, unless given."""
+    check_shapes("floor_penetrations", joints=(joints, "N T 24 3"))
+    lowest = joints[:, :, FEET, 1].double().amin(2)
+    level = lowest.quantile(0.5, dim=1, keepdim=True) if floor is None else floor
+    return (level - lowest).clamp(min=0).mean(1)
 
 
 def nearest_true(joints: Tensor, references: Tensor, values: int = 2**24) -> Tensor:
@@ -97,13 +115,23 @@ def nearest_true(joints: Tensor, references: Tensor, values: int = 2**24) -> Ten
     Returns:
         [N] float64 metres, over frames and the 23 joints below the pelvis.
     """
-    sizes = check_shapes("nearest_true", joints=(joints, "N T 24 3"), references=(references, "M T 24 3"))
-    if not sizes["M"]:
+    if not len(references):
         raise UserError("nearest_true", "there are no references")
-    joints, references = ((each - each[..., :1, :])[..., 1:, :].double() for each in (joints, references))
-    group = max(1, values // references[0].numel())
-    found = torch.empty(len(joints), dtype=torch.float64)
-    for n, clip in enumerate(joints):
-        parts = (references[start : start + group] for start in range(0, len(references), group))
-        found[n] = min(float((part - clip).norm(dim=-1).mean((-2, -1)).min()) for part in parts)
-    return found
+    return motion_errors(joints, references, values).amin(1)
+
+
+def motion_errors(joints: Tensor, references: Tensor, values: int = 2**24) -> Tensor:
+    """``mean_joint_error`` of every motion [N T 24 3] to every reference [M T 24 3], [N M] float64 metres.
+
+    Distances of joints are in the precision of what is given, their means are float64.
+
+    Args:
+        values: coordinates that are held at once; only memory depends on it.
+    """
+    check_shapes("motion_errors", joints=(joints, "N T 24 3"), references=(references, "M T 24 3"))
+    joints, references = ((each - each[..., :1, :])[..., 1:, :] for each in (joints, references))
+    parts = references.split(max(1, values // max(1, references[:1].numel())))
+    found = [
+        torch.cat([(part - clip).norm(dim=-1).mean((-2, -1), dtype=torch.float64) for part in parts]) for clip in joints
+    ]
+    return torch.stack(found) if found else torch.empty(0, len(references), dtype=torch.float64)

@@ -13,6 +13,7 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor, nn
 
+from refine.folded import Folded
 from renderers.checks import UserError, check_known, check_range, check_shapes
 from renderers.skeleton import JOINT_NAMES, PARENTS, PARTS
 
@@ -183,8 +184,10 @@ class Recognised(NamedTuple):
 
 
 @torch.no_grad()
-def features_of(recogniser: Recogniser, six: Tensor, batch: int = 128) -> Recognised:
+def features_of(recogniser: Recogniser, six: Tensor, batch: int = 32) -> Recognised:
     """What a recogniser in evaluation mode makes of clips [N T 24 6], ``batch`` of them at a time, on its own device.
+
+    More at a time are slower on a CPU, whose caches they leave.
 
     Returns:
         features and logits, float64, where ``six`` was.
@@ -192,7 +195,9 @@ def features_of(recogniser: Recogniser, six: Tensor, batch: int = 128) -> Recogn
     if recogniser.training:
         raise UserError("features_of", "the recogniser is in training mode", "call its eval()")
     device = recogniser.classify.weight.device
-    features = [recogniser.features(part.to(device, torch.float32)) for part in six.split(batch)]
+    foldable = device.type == "cpu" and type(recogniser) is Recogniser
+    network = Folded(recogniser) if foldable else recogniser
+    features = [network.features(part.to(device, torch.float32)) for part in six.split(batch)]
     logits = [recogniser.classify(part) for part in features]
     return Recognised(*(torch.cat(parts).to(six.device, torch.float64) for parts in (features, logits)))
 
@@ -206,7 +211,7 @@ class BothActions(NamedTuple):
 
 
 def both_actions(
-    legs: Recogniser, arms: Recogniser, six: Tensor, labels: Sequence[str], batch: int = 128
+    legs: Recogniser, arms: Recogniser, six: Tensor, labels: Sequence[str], batch: int = 32
 ) -> BothActions:
     """Whether both actions are recognised in compositions, by recognisers that have learned single actions alone.
 

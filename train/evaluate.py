@@ -32,7 +32,7 @@ from refine.distributions import (
     multimodality_exact,
 )
 from refine.generator import Generator, generate, label_weights, stand
-from refine.metrics import floor_penetration, foot_skate, jitter, nearest_true
+from refine.metrics import floor_penetrations, foot_skates, jitters, motion_errors
 from refine.motion import Motion, from_features
 from refine.recogniser import Recogniser, both_actions, features_of
 from renderers.body import Body
@@ -107,6 +107,7 @@ class Judge:
         self.compositions = {"mask": sample_of(masked)}
         if benchmark.has_true:
             self.compositions["true"] = sample_of(benchmark.compositions("true"))
+            self.true_joints = self.joints(self.compositions["true"])
         self.references = {}
         for name, recogniser in recognisers.items():
             six = matrix_to_6d(self.compositions["true" if name == "true" else "mask"].rotations)
@@ -144,21 +145,19 @@ class Judge:
         if "true" in self.compositions:
             found |= self.nearness(joints)
         fps = self.benchmark.fps
-        for name, of_clip in (
-            ("foot_skate", lambda clip: foot_skate(clip, fps)),
-            ("floor_penetration", floor_penetration),
-            ("jitter", lambda clip: jitter(clip, fps)),
-        ):
-            found[name] = sum(map(of_clip, joints)) / len(joints)
+        found["foot_skate"] = float(foot_skates(joints, fps).mean())
+        found["floor_penetration"] = float(floor_penetrations(joints).mean())
+        found["jitter"] = float(jitters(joints, fps).mean())
         return found
 
     def nearness(self, joints: Tensor) -> dict[str, float]:
         """How near each motion is to a true composition of its pair, and each of these to a motion."""
-        true, nearest, covered = self.joints(self.compositions["true"]), [], []
+        nearest, covered = [], []
         for label in dict.fromkeys(self.labels):
             same = torch.tensor([one == label for one in self.labels])
-            nearest.append(nearest_true(joints[same], true[same]))
-            covered.append(nearest_true(true[same], joints[same]))
+            errors = motion_errors(joints[same], self.true_joints[same])
+            nearest.append(errors.amin(1))
+            covered.append(errors.amin(0))
         return {"nearest_true": float(torch.cat(nearest).mean()), "covered_true": float(torch.cat(covered).mean())}
 
 

@@ -6,10 +6,14 @@ import torch
 from refine.metrics import (
     FEET,
     floor_penetration,
+    floor_penetrations,
     foot_skate,
+    foot_skates,
     jitter,
+    jitters,
     joint_errors,
     mean_joint_error,
+    motion_errors,
     nearest_true,
     part_errors,
     planted_feet,
@@ -124,6 +128,35 @@ def test_nearest_true_is_the_least_mean_joint_error(joints, generator):
     assert found[1] < 0.02 and found[2] < 1e-12
     assert torch.equal(nearest_true(motions, references, values=1), found)
     assert nearest_true(motions.float(), references.float()).dtype == torch.float64
+
+
+def test_many_clips_at_once_are_each_measured_alone(generator):
+    """Clips that differ in how many feet are low, in height and in tremor; one of them never stands."""
+    scales = torch.tensor([0.01, 0.05, 0.2, 1.0])[:, None, None, None]
+    clips = torch.cat([scales * torch.rand(4, 12, 24, 3, generator=generator), torch.zeros(1, 12, 24, 3)])
+    clips[3, :, FEET, 1] = 10.0 ** torch.arange(12)[:, None]
+    for many, one in ((foot_skates, foot_skate), (jitters, jitter)):
+        assert many(clips, 30.0).tolist() == pytest.approx([one(clip, 30.0) for clip in clips], rel=1e-12)
+    assert floor_penetrations(clips).tolist() == pytest.approx([floor_penetration(clip) for clip in clips], rel=1e-12)
+    assert foot_skates(clips, 30.0)[0] > 0 == foot_skates(clips, 30.0)[3]
+    feet, expected = clips[1][:, FEET], []
+    for foot in feet.unbind(1):
+        low = [bool(height < foot[:, 1].min() + 0.05) for height in foot[:, 1]]
+        expected += [
+            30 * float((foot[t + 1] - foot[t])[[0, 2]].norm()) for t in range(11) if low[t] and low[t + 1]
+        ]  # fmt: skip
+    assert float(foot_skates(clips, 30.0)[1]) == pytest.approx(sum(expected) / len(expected), rel=1e-5)
+
+
+def test_errors_of_every_motion_to_every_reference(joints, generator):
+    references = torch.rand(3, 30, 24, 3, generator=generator, dtype=torch.float64)
+    motions = torch.stack([joints, joints.flip(0)])
+    expected = [[mean_joint_error(motion, one) for one in references] for motion in motions]
+    for found in (motion_errors(motions, references), motion_errors(motions, references, values=1)):
+        assert found.shape == (2, 3) and found.tolist() == [pytest.approx(row, rel=1e-12) for row in expected]
+    rough = motion_errors(motions.float(), references.float())
+    assert rough.dtype == torch.float64 and rough.tolist() == [pytest.approx(row, rel=1e-6) for row in expected]
+    assert motion_errors(motions[:0], references).shape == (0, 3)
 
 
 def test_nearest_true_needs_references_of_the_same_length(joints):
