@@ -67,6 +67,20 @@ def test_shares_are_scale_free_and_swap(lam, scale, seed):
     assert torch.allclose(coupling_weights(of_j, of_i, 1 - lam, CONFIG), 1 - weights, atol=1e-9)
 
 
+@given(st.floats(0.05, 0.95), st.integers(0, 1000))
+def test_leaning_adds_to_the_log_odds_of_each_part_and_swaps(lam, seed):
+    generator = torch.Generator().manual_seed(seed)
+    of_i, of_j = torch.rand(2, 24, generator=generator, dtype=torch.float64) + 0.1
+    lean = 3 * torch.randn(5, generator=generator, dtype=torch.float64)
+    plain, leaning = (coupling_weights(of_i, of_j, lam, CONFIG, some) for some in (None, lean))
+    for row, joints in enumerate(PARTS.values()):
+        some = list(joints)
+        raised = torch.logit(leaning[some]) - torch.logit(plain[some])
+        torch.testing.assert_close(raised, lean[row].expand(len(some)), atol=1e-5, rtol=0)
+    assert leaning[0] == plain[0]  # whose travel it is stays
+    torch.testing.assert_close(coupling_weights(of_j, of_i, 1 - lam, CONFIG, -lean), 1 - leaning)
+
+
 def test_switches():
     of_i, of_j = torch.full((24,), 9.0), torch.full((24,), 1.0)
     assert torch.allclose(coupling_weights(of_i, of_j, 0.3, replace(CONFIG, mask=False)), torch.tensor(0.3))

@@ -19,9 +19,10 @@ from renderers.rotations import axis_angle_to_matrix
 from train.checkpoints import save_weights
 from train.config import GENERATOR_PRESETS, MAE_PRESETS, GeneratorTraining
 from train.data import DataConfig
-from train.generator import Training, load_generator, train_generator
+from train.generator import Training, known_leans, load_generator, train_generator
 from train.loop import LoopConfig
 from train.processes import Processes
+from train.shares import SharesConfig
 from train.steps import GeneratorLoss
 
 
@@ -49,6 +50,7 @@ def config(folder, mae, **changes) -> GeneratorTraining:
             ),
             network=TINY,
             loss=GeneratorLoss(decoupling_clips=1, decoupling_frames=1),
+            shares=SharesConfig(looks=0),
             loop=LoopConfig(steps=20, learning_rate=1e-3, save_every=10),
             batch=4,
             measured=6,
@@ -81,6 +83,31 @@ def test_a_resumed_run_continues_with_the_very_losses(trained, mae, tmp_path):
     train_generator(replace(whole, loop=replace(whole.loop, steps=10)))
     train_generator(replace(whole, resume=True))
     assert terms(tmp_path / "run") == terms(trained)
+
+
+def test_refined_shares_are_learned_and_kept_with_the_weights(mae, tmp_path, monkeypatch):
+    whole = config(tmp_path / "run", mae, shares=SharesConfig(looks=3), loss=PLAIN)
+    leaning = Training(whole, Processes(), "cpu")
+    plain = Training(replace(whole, shares=SharesConfig(looks=0)), Processes(), "cpu")
+    classes = torch.tensor([[1, 2]]).expand(4, 2)  # a walk and a wave
+    made, unchanged = (one.compositions(classes, torch.Generator().manual_seed(0))[0] for one in (leaning, plain))
+    assert (made - unchanged).abs().amax((0, 1, 3))[[16, 17]].min() > 1e-3  # the shoulders lean
+    drawn, noise = leaning.draw(leaning.learned, 4, torch.Generator().manual_seed(0))
+    first, without = (one.terms(one.learned, drawn, noise, slice(None), PLAIN)["rc"] for one in (leaning, plain))
+    assert first != without
+
+    brief = replace(whole, loop=replace(whole.loop, steps=10))
+    train_generator(brief)
+    kept = json.loads((tmp_path / "run" / "last.json").read_text())["leans"]
+    assert list(kept) == ["squat+wave-both-hands", "walk+wave-both-hands"]
+    assert torch.equal(known_leans(tmp_path / "run" / "last.json", leaning.learned.classes), leaning.leans)
+    monkeypatch.setattr("train.generator.refine_shares", None)  # a run that goes on has no need of it
+    train_generator(replace(whole, resume=True))
+    monkeypatch.undo()
+    train_generator(replace(whole, out=tmp_path / "unbroken"))
+    logs = [(tmp_path / name / "log.jsonl").read_text().splitlines() for name in ("run", "unbroken")]
+    rows = [[{**json.loads(line), "seconds": None} for line in log] for log in logs]
+    assert rows[0] == rows[1]
 
 
 def test_a_trained_generator_makes_motions(trained):
