@@ -92,6 +92,7 @@ def test_refined_shares_are_learned_and_kept_with_the_weights(mae, tmp_path, mon
     classes = torch.tensor([[1, 2]]).expand(4, 2)  # a walk and a wave
     made, unchanged = (one.compositions(classes, torch.Generator().manual_seed(0))[0] for one in (leaning, plain))
     assert (made - unchanged).abs().amax((0, 1, 3))[[16, 17]].min() > 1e-3  # the shoulders lean
+    plain.generator = leaning.generator
     drawn, noise = leaning.draw(leaning.learned, 4, torch.Generator().manual_seed(0))
     first, without = (one.terms(one.learned, drawn, noise, slice(None), PLAIN)["rc"] for one in (leaning, plain))
     assert first != without
