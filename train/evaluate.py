@@ -2,20 +2,24 @@
 
 Every repeat draws as many new motions as the benchmark has test compositions, the same number of each pair, and
 compares them with recognisers and compositions that are fixed. Beside the generator stands the operator itself:
-compositions that the mask makes of the training clips, which is as near as one can come who learned nothing but it.
+compositions that the mask makes of the training clips, which is as near as one can come who learned nothing but it;
+and, where there are such, the true test compositions: what a method would measure that composed perfectly. Both are the
+same for every generator, so they are measured once and kept with the benchmark's recognisers.
 """
 
 import hashlib
 import json
+import math
 import platform
 import shlex
 import sys
 import time
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable
+from contextlib import suppress
+from dataclasses import asdict, dataclass
 from importlib import metadata
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import torch
 from torch import Tensor
@@ -40,13 +44,15 @@ from renderers.checks import UserError, check_known, check_range
 from renderers.rotations import matrix_to_6d
 from renderers.skeleton import forward_kinematics
 from train.benchmarks import Benchmark
-from train.checkpoints import commit
+from train.checkpoints import commit, replace_file, to_json
 from train.data import ClipStore, DataConfig, draw_windows, index_pairs
 from train.generator import load_generator
 from train.loop import seed_of
 from train.recogniser import load_recognisers, place_of
 from train.tables import Evaluation
 
+UNTOLD = ("fid_true", "kid_true", "accuracy_true", "nearest_true", "covered_true")
+"""What says nothing of the true compositions, which are measured against themselves by a recogniser of themselves."""
 LIBRARIES = ("refine-motion", "torch", "numpy", "timm")
 
 
@@ -65,6 +71,16 @@ class EvaluationConfig:
     def __post_init__(self):
         check_range(self, 1, 10_000, "repeats", "batch")
         check_range(self, 0, 2**32 - 1, "seed")
+
+
+@dataclass(frozen=True)
+class Beside:
+    """What stands beside every generator on a benchmark, values of each measure."""
+
+    real: dict[str, list[float]]
+    """Of the mask operator on training clips, one a repeat."""
+    truth: dict[str, list[float]]
+    """Of the true test compositions, once; empty where there are none."""
 
 
 class Sample(NamedTuple):
@@ -227,6 +243,46 @@ def repeat(sampler: Sampler, judge: Judge, config: EvaluationConfig, name: str) 
     return {measure: [row[measure] for row in rows] for measure in rows[0]}
 
 
+def beside(judge: Judge, config: EvaluationConfig, measures: Iterable[str]) -> Beside:
+    """What is the same for every generator, from ``beside.json`` with the recognisers or else measured and put there.
+
+    It is measured anew when the file is missing or damaged, or is of another benchmark, recogniser, number of repeats,
+    seed or version, or lacks one of ``measures``. Where it cannot be written it is not kept.
+    """
+    path, measures = place_of(judge.benchmark, "beside").with_suffix(".json"), set(measures)
+    key = {"version": metadata.version("refine-motion"), "repeats": config.repeats, "seed": config.seed}
+    key |= hashes_of(judge)
+    found = read_beside(path, key)
+    told = measures.difference(UNTOLD) if judge.benchmark.has_true else set()
+    if found and found.real.keys() == measures and found.truth.keys() == told:
+        return found
+    measured = Beside(repeat(operated(judge), judge, config, "mask on training clips"), truth_of(judge, config))
+    with suppress(UserError):
+        replace_file(path, to_json({"key": key, **asdict(measured)}))
+    return measured
+
+
+def read_beside(path: Path, key: dict[str, Any]) -> Beside | None:
+    """What ``beside`` has kept under ``key``; none if it is not all there."""
+    try:
+        found = json.loads(path.read_text())
+        for group, count in (("real", key["repeats"]), ("truth", 1)):
+            for values in found[group].values():
+                if len(values) != count or not all(map(math.isfinite, values)):
+                    return None
+        return Beside(found["real"], found["truth"]) if found["key"] == key else None
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+        return None
+
+
+def truth_of(judge: Judge, config: EvaluationConfig) -> dict[str, list[float]]:
+    """Measures of the true test compositions, those left out that compare them with themselves."""
+    if not judge.benchmark.has_true:
+        return {}
+    measured = judge.measure(judge.compositions["true"], torch.Generator().manual_seed(seed_of(config.seed, 0)))
+    return {name: [value] for name, value in measured.items() if name not in UNTOLD}
+
+
 def evaluate(run: Path, benchmark: Benchmark, config: EvaluationConfig, row: str = "") -> Evaluation:
     """Measure the last weights of a run of `refine train generator`.
 
@@ -248,16 +304,17 @@ def evaluate(run: Path, benchmark: Benchmark, config: EvaluationConfig, row: str
     coupled = trained["coupling"] if alone else None
     name = row or trained.get("variant") or run.name
     metrics = repeat(generated(generator, judge, coupled, config), judge, config, name)
+    others = beside(judge, config, metrics)
     return Evaluation(
         row=name,
         seed=trained["loop"]["seed"],
         benchmark=benchmark.name,
         n=len(judge.labels),
         metrics=metrics,
-        real=repeat(operated(judge), judge, config, "mask on training clips"),
+        real=others.real,
+        truth=others.truth,
         versions={"python": platform.python_version()} | {name: metadata.version(name) for name in LIBRARIES},
-        hashes={"model": sha256(weights), "benchmark": benchmark.hash}
-        | {kind: hash_recogniser(place_of(benchmark, kind)) for kind in judge.recognisers},
+        hashes={"model": sha256(weights)} | hashes_of(judge),
         provenance={
             "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
             "commit": commit(),
@@ -293,6 +350,12 @@ def check_run(run: Path, trained: dict, described: dict, benchmark: Benchmark):
 
 def as_json(weights: Path) -> str:
     return weights.with_suffix(".json").read_text()
+
+
+def hashes_of(judge: Judge) -> dict[str, str]:
+    """SHA-256 of what measures: the benchmark and its recognisers."""
+    recognisers = {kind: hash_recogniser(place_of(judge.benchmark, kind)) for kind in judge.recognisers}
+    return {"benchmark": judge.benchmark.hash} | recognisers
 
 
 def hash_recogniser(weights: Path) -> str:

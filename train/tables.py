@@ -15,6 +15,9 @@ from train.checkpoints import replace_file, to_json
 
 SCHEMA = 1
 REAL = "Real"
+TRUE = "True compositions"
+BESIDE = (REAL, TRUE)
+"""Rows that no method has made; they do not compete."""
 NONE = "–"
 
 
@@ -82,6 +85,10 @@ OVER_SEEDS = (
     "seed). Bold: better than all others, and its interval excludes theirs (the means of rows with one seed). Real: "
     "compositions that the mask operator makes of training clips, as many; they do not compete."
 )
+OF_TRUTH = (
+    f"{TRUE}: the benchmark's own, measured once in the same way. A method that composed perfectly would have this "
+    "FID-C, which is not the lowest; what compares them with themselves is left out."
+)
 
 
 @dataclass(frozen=True)
@@ -99,6 +106,8 @@ class Evaluation:
     """Values of each measure, one a repeat, in metres, seconds and shares of 1."""
     real: dict[str, list[float]] = field(default_factory=dict)
     """The same of compositions of real clips that are not in the test set, at equal n."""
+    truth: dict[str, list[float]] = field(default_factory=dict)
+    """The same of the true test compositions, where there are such: one value each, since nothing is drawn."""
     versions: dict[str, str] = field(default_factory=dict)
     hashes: dict[str, str] = field(default_factory=dict)
     """SHA-256 of what was measured, ``model``, and of what measured it: benchmark, recognisers. Rows of one table must
@@ -107,7 +116,7 @@ class Evaluation:
     """Command, commit, hardware, seconds."""
 
     def __post_init__(self):
-        for name, values in [*self.metrics.items(), *self.real.items()]:
+        for name, values in [*self.metrics.items(), *self.real.items(), *self.truth.items()]:
             strange = [value for value in values if not math.isfinite(value)]
             if strange or not values:
                 what = f"{len(strange)} of {len(values)} values are not finite" if strange else "there are no values"
@@ -134,8 +143,9 @@ class Evaluation:
         if found.get("schema") != SCHEMA:
             raise UserError("Evaluation", f"is of schema {found.get('schema')}, this version reads {SCHEMA}", again)
         try:
+            found = {"truth": {}, **found}  # evaluations of before it was measured
             values = {name: found[name] for name in cls.__dataclass_fields__}
-            for group in ("metrics", "real"):
+            for group in ("metrics", "real", "truth"):
                 values[group] = {name: [float(each) for each in row] for name, row in found[group].items()}
         except (KeyError, TypeError, ValueError, AttributeError) as error:
             raise UserError("Evaluation", f"is damaged ({type(error).__name__}: {error})", again) from error
@@ -204,11 +214,16 @@ def evaluation_table(evaluation: Evaluation) -> str:
                 metric.print(real),
             ]
         )
+        if evaluation.truth:
+            truth = mean(scaled(name, evaluation.truth[name])) if name in evaluation.truth else None
+            rows[-1].append(metric.print(truth))
     head = ["measure", "N", "repeats", "mean", "sd", "95 % interval", "actor_pm", "real against real"]
+    head += [TRUE.lower()] if evaluation.truth else []
+    said = "\n\n".join([CAUTION, OVER_REPEATS, *([OF_TRUTH] if evaluation.truth else [])])
     facts = [f"{name} {number}" for name, number in evaluation.versions.items()]
     facts += [f"{name} `{digest[:12]}`" for name, digest in evaluation.hashes.items()]
     title = f"## {evaluation.row} on {evaluation.benchmark}, training seed {evaluation.seed}"
-    parts = [title, f"{CAUTION}\n\n{OVER_REPEATS}", table(head, rows), ", ".join(facts)]
+    parts = [title, said, table(head, rows), ", ".join(facts)]
     return "\n\n".join(part for part in parts if part) + "\n"
 
 
@@ -217,16 +232,18 @@ def comparison_table(evaluations: Sequence[Evaluation], metrics: Sequence[str] |
 
     Args:
         evaluations: one a method and seed, all of one benchmark, N and recognisers; methods come in this order, after
-            a row ``REAL`` of what the first of them measured beside its model.
+            rows ``REAL`` and ``TRUE`` of what the first that has it measured beside its model.
         metrics: those to show; all that were measured, unless given.
 
     Raises:
         UserError: there are none, they do not belong in one table, or a method has a seed twice.
     """
     rows = by_row(evaluations)
-    beside = next((each for each in evaluations if each.real), None)
-    if beside and REAL not in rows:
-        rows = {REAL: [replace(beside, row=REAL, metrics=beside.real)], **rows}
+    for name, group in ((TRUE, "truth"), (REAL, "real")):
+        beside = next((each for each in evaluations if getattr(each, group)), None)
+        if beside and name not in rows:
+            rows = {name: [replace(beside, row=name, metrics=getattr(beside, group))], **rows}
+    rows = {name: rows[name] for name in BESIDE if name in rows} | rows
     names = in_order(name for each in evaluations for name in each.metrics) if metrics is None else list(metrics)
     columns = {name: {row: [*over_seeds(name, group).values()] for row, group in rows.items()} for name in names}
     winners = {name: best(metric_of(name), column) for name, column in columns.items()}
@@ -242,14 +259,15 @@ def comparison_table(evaluations: Sequence[Evaluation], metrics: Sequence[str] |
 
     head = ["", "seeds", *(metric_of(name).head for name in names)]
     body = [
-        [row, NONE if row == REAL else f"{len(group)}", *(cell(name, row) for name in names)]
+        [row, NONE if row in BESIDE else f"{len(group)}", *(cell(name, row) for name in names)]
         for row, group in rows.items()
     ]
     first = evaluations[0]
     repeats = sorted({len(values) for each in evaluations for values in each.metrics.values()})
     said = f"{first.n} motions a repeat, {' or '.join(map(str, repeats))} repeats a model."
     title = f"## Methods on {first.benchmark}"
-    return "\n\n".join([title, f"{CAUTION}\n\n{OVER_SEEDS} {said}", table(head, body), published_table()]) + "\n"
+    above = [CAUTION, f"{OVER_SEEDS} {said}", *([OF_TRUTH] if TRUE in rows else [])]
+    return "\n\n".join([title, *above, table(head, body), published_table()]) + "\n"
 
 
 def contrast_table(
@@ -335,9 +353,9 @@ def over_seeds(name: str, group: Sequence[Evaluation]) -> dict[int, float]:
 
 
 def best(metric: Metric, column: dict[str, list[float]]) -> str | None:
-    """The method whose values are best beyond the intervals, if there is one; real motions do not compete."""
+    """The method whose values are best beyond the intervals, if there is one; real and true ones do not compete."""
     real = column.get(REAL)
-    rivals = {row: values for row, values in column.items() if row != REAL and values}
+    rivals = {row: values for row, values in column.items() if row not in BESIDE and values}
     if metric.better is None or len(rivals) < 2 or (metric.better == "real" and not real):
         return None
     if metric.better == "real":

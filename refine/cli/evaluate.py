@@ -14,7 +14,9 @@ class Evaluate:
     """Measure a generator against a benchmark, or put evaluations into one table.
 
     Writes every value as JSON and a Markdown table beside it. The benchmark is a folder of `refine data benchmark`
-    with the recognisers of `refine train recogniser` in it.
+    with the recognisers of `refine train recogniser` in it. What is the same for every run (the mask operator on
+    training clips, and the true compositions) is measured once and kept there in recognisers/beside.json. It is
+    measured anew for another number of repeats, seed, benchmark, recogniser or version, or if that file is removed.
 
     Example: refine evaluate runs/generator --benchmark synth-c
     Example: refine evaluate --table runs/*/evaluation.json --against without-dr -o table.md

@@ -16,7 +16,17 @@ from renderers.rotations import matrix_to_6d
 from train.building import build_benchmark
 from train.config import GENERATOR_PRESETS
 from train.data import DataConfig
-from train.evaluate import EvaluationConfig, Judge, evaluate, generated, hash_recogniser, operated, repeat
+from train.evaluate import (
+    UNTOLD,
+    EvaluationConfig,
+    Judge,
+    beside,
+    evaluate,
+    generated,
+    hash_recogniser,
+    operated,
+    repeat,
+)
 from train.generator import train_generator
 from train.recipes import synth_c
 from train.recogniser import RecogniserTraining, train_recognisers
@@ -143,9 +153,87 @@ def test_every_repeat_has_a_seed_of_its_own(judge, benchmark):
 def test_a_run_is_measured_and_told_apart_from_the_operator(run, benchmark):
     found = evaluate(run, benchmark, ONCE)
     assert (found.row, found.seed, found.n, found.benchmark) == ("without-dr", 10, 100, "synth-c")
+    assert found.truth["fid_c"] > [0.0]
     assert found.metrics.keys() == found.real.keys() >= {"fid_c", "fid_true", "both_actions", "nearest_true", "jitter"}
     assert found.real["nearest_true"][0] < found.metrics["nearest_true"][0]
     assert set(found.hashes) == {"model", "benchmark", "mask", "half", "true", "legs", "arms"}
+
+
+@pytest.fixture
+def kept(judge, monkeypatch):
+    """Where what stands beside generators is kept, empty, and how often the operator was measured."""
+    path, times = judge.benchmark.folder / "recognisers" / "beside.json", []
+    path.unlink(missing_ok=True)
+
+    def counted(*arguments):
+        times.append(arguments)
+        return repeat(*arguments)
+
+    monkeypatch.setattr("train.evaluate.repeat", counted)
+    return path, times
+
+
+@pytest.fixture(scope="module")
+def measures(judge):
+    return judge.measure(judge.compositions["mask"], torch.Generator()).keys()
+
+
+def test_what_is_the_same_for_every_run_is_measured_once(judge, measures, kept):
+    path, times = kept
+    first = beside(judge, ONCE, measures)
+    assert first == beside(judge, ONCE, measures) and len(times) == 1
+    assert first.real == repeat(operated(judge), judge, ONCE, "again")
+    found = json.loads(path.read_text())
+    assert found["real"] == first.real and found["key"]["benchmark"] == judge.benchmark.hash
+    found["real"]["fid_c"] = [7.0]
+    path.write_text(json.dumps(found))
+    assert beside(judge, ONCE, measures).real["fid_c"] == [7.0]
+
+
+def test_what_was_kept_for_another_evaluation_is_measured_again(judge, measures, kept, monkeypatch):
+    """By repeats, seed, benchmark, recogniser and measures; and a file that is damaged."""
+    path, times = kept
+
+    def quick(sampler, judge, config, name):
+        times.append(name)
+        return {name: [config.seed + 0.5] * config.repeats for name in measures}
+
+    monkeypatch.setattr("train.evaluate.repeat", quick)
+    monkeypatch.setattr("train.evaluate.truth_of", lambda *_: {name: [2.0] for name in measures - {*UNTOLD}})
+    first = beside(judge, ONCE, measures)
+    good = json.loads(path.read_text())
+    named = {"fid_c": [1.0]} | good["real"]
+    for content in (
+        "{", "[1]", "[" * 100_000, json.dumps({}),
+        *(json.dumps(good | {"key": good["key"] | {name: "ab"}}) for name in good["key"]),
+        *(json.dumps(good | {"real": named | {"fid_c": values}}) for values in ([], [1.0, 2.0], ["much"], 3, [1e999])),
+        json.dumps(good | {"real": {"fid_c": [1.0]}}),
+        json.dumps(good | {"truth": {}}),
+    ):  # fmt: skip
+        path.write_text(content)
+        before = len(times)
+        assert beside(judge, ONCE, measures) == first, content[:80]
+        assert len(times) == before + 1 and json.loads(path.read_text()) == good, content[:80]
+    beside(judge, EvaluationConfig(repeats=1, seed=1), measures)
+    assert json.loads(path.read_text())["real"] != first.real
+
+
+def test_a_folder_that_cannot_be_written_keeps_nothing_and_stops_nothing(judge, measures, kept):
+    path, times = kept
+    path.mkdir()
+    try:
+        assert beside(judge, ONCE, measures).real and len(times) == 1
+    finally:
+        path.rmdir()
+
+
+def test_the_truth_is_what_perfect_composing_would_measure(judge, measures, kept):
+    """As the true compositions measure; nothing of themselves against themselves, and nothing where there are none."""
+    found = beside(judge, ONCE, measures).truth
+    assert found.keys() == measures - {*UNTOLD} >= {"fid_c", "both_actions", "jitter"}
+    measured = judge.measure(judge.compositions["true"], torch.Generator())
+    for name in ("fid_c", "accuracy", "both_actions", "jitter"):
+        assert found[name] == [measured[name]]
 
 
 def test_the_verb_writes_json_and_a_table_and_compares(run, benchmark, tmp_path, capsys):
@@ -222,7 +310,7 @@ def test_every_row_changes_what_it_is_named_after_and_nothing_else():
     _, preset = GENERATOR_PRESETS["small"]
     rows = {name: as_variant(replace(preset, variant=name)) for name in VARIANTS}
     assert {name for name, row in rows.items() if not row.loss.decoupling} == {
-        "pretrain-mask", "disentanglement", "without-mask", "without-gaussian", "all-classes", "without-dr"
+        "pretrain-mask", "disentanglement", "without-mask", "without-gaussian", "all-classes", "without-dr", "dr-shares"
     }  # fmt: skip
     assert len({repr(replace(row, variant="")) for row in rows.values()}) == len(rows)
     for row in rows.values():

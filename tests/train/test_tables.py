@@ -8,7 +8,9 @@ import pytest
 from renderers.checks import UserError
 from train.tables import (
     CAUTION,
+    OF_TRUTH,
     REAL,
+    TRUE,
     Evaluation,
     comparison_table,
     contrast_table,
@@ -42,10 +44,19 @@ class TestFiles:
     def test_there_and_back(self, tmp_path):
         one = replace(
             evaluation("with DR", 2, fid_c=[83.1, 0.1 + 0.2], accuracy=[0.64, 0.66]),
-            real={"fid_c": [1.5]}, versions={"torch": "2.14"}, provenance={"seconds": 3.5},
+            real={"fid_c": [1.5]}, truth={"fid_c": [9.0]}, versions={"torch": "2.14"}, provenance={"seconds": 3.5},
         )  # fmt: skip
         save_evaluation(tmp_path / "one.json", one)
         assert load_evaluation(tmp_path / "one.json") == one
+
+    def test_evaluations_of_before_the_truth_was_measured(self, tmp_path):
+        older = evaluation("with DR", 2, fid_c=[83.1]).to_json()
+        del older["truth"]
+        (tmp_path / "one.json").write_text(json.dumps(older))
+        found = load_evaluation(tmp_path / "one.json")
+        assert found == evaluation("with DR", 2, fid_c=[83.1])
+        assert cells(evaluation_table(found), "measure")[-1] == "real against real"
+        assert TRUE not in comparison_table([found])
 
     def test_summary_is_in_the_units_of_the_tables(self):
         """ACTOR's plus-minus is of squared percent."""
@@ -92,6 +103,12 @@ class TestOneModel:
         assert text.index("FID-C ↓") < text.index("accuracy, % ↑") < text.index("swing")
         assert "torch 2.14, benchmark `abababababab`" in text
 
+    def test_the_truth_has_a_column(self):
+        one = replace(evaluation("a", 0, fid_c=[80.0], fid_true=[7.0]), truth={"fid_c": [43.21]})
+        text = evaluation_table(one)
+        assert cells(text, "measure")[-1] == "true compositions" and OF_TRUTH in text
+        assert cells(text, "FID-C ↓")[-2:] == ["–", "43.21"] and cells(text, "FID to true ↓")[-2:] == ["–", "–"]
+
     def test_one_repeat_has_no_interval(self):
         text = evaluation_table(evaluation("with DR", 2, fid_c=[80.0]))
         assert cells(text, "FID-C ↓") == ["FID-C ↓", "625", "1", "80.00", "–", "–", "–", "–"]
@@ -136,6 +153,18 @@ class TestComparison:
         assert cells(text, REAL) == [REAL, "–", "30.00"]
         assert cells(text, "close")[:2] == ["close", "3"] and cells(text, "close")[2].startswith("**28.10**")
         assert text.index(f"| {REAL} |") < text.index("| close |")
+
+    def test_the_truth_stands_under_the_real_ones_and_does_not_compete(self):
+        rows = trained("a", fid_c=[80.0, 81.0, 82.0], fid_true=[5.0, 5.1, 5.2])
+        rows += trained("b", fid_c=[100.0, 101.0, 102.0], fid_true=[9.0, 9.1, 9.2])
+        rows[1] = replace(rows[1], real={"fid_c": [3.0]}, truth={"fid_c": [43.21]})
+        text = comparison_table(rows).partition("as published")[0]
+        lines = [line.split("|")[1].strip() for line in text.splitlines() if line.startswith("|")]
+        assert lines[2:6] == [REAL, TRUE, "a", "b"]
+        assert cells(text, TRUE) == [TRUE, "–", "43.21", "–"]
+        assert cells(text, "a")[2].startswith("**81.00**") and cells(text, "a")[3].startswith("**5.10**")
+        assert OF_TRUTH in text and text.index(OF_TRUTH) < text.index("| seeds |")
+        assert OF_TRUTH not in comparison_table(rows[:1])
 
     def test_a_measure_that_a_row_lacks(self):
         text = comparison_table([evaluation("a", 0, fid_c=[1.0]), evaluation("b", 0, kid_c=[0.5])])
