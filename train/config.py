@@ -55,8 +55,8 @@ class GeneratorTraining:
     """Run folder."""
     variant: str = ""
     """A row of the result tables; what it stands for goes before other flags: pretrain-mask, disentanglement,
-    without-mask, without-gaussian, all-classes, without-dr, dr-paper, dr-generated, dr-shares, dr-one-camera or
-    with-dr. None leaves the preset as it is."""
+    without-mask, without-gaussian, all-classes, without-dr, dr-paper, dr-plain, dr-generated, dr-shares,
+    dr-one-camera or with-dr. None leaves the preset as it is."""
     mae: Path | None = None
     """Weights of the MAE that the decoupling loss asks; none takes those that come with the package."""
     data: DataConfig = field(default_factory=DataConfig)
@@ -116,6 +116,16 @@ MAE_PRESETS: dict[str, tuple[str, MAETraining]] = {
         MAETraining(
             data=DataConfig(synthetic_clips=60),
             loop=replace(MAE_LOOP, steps=6000, warmup=200, save_every=500),
+            precision="bfloat16",
+        ),
+    ),
+    "plain": (
+        "What the rows dr-paper and dr-plain ask: plain silhouettes, where the published loss shows them. Ten minutes.",
+        MAETraining(
+            data=DataConfig(synthetic_clips=60),
+            network=MAEConfig(channels=1),
+            pictures=PictureConfig(pinned="sequence"),
+            loop=replace(MAE_LOOP, steps=1500, warmup=100, save_every=500),
             precision="bfloat16",
         ),
     ),

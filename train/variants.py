@@ -8,8 +8,8 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import Any
 
-from refine.decoupling import PAPER
-from renderers.checks import check_known
+from refine.decoupling import PAPER, DecouplingConfig, default_for
+from renderers.checks import UserError, check_known
 from train.config import GeneratorTraining
 
 
@@ -21,6 +21,8 @@ class Variant:
     change: Callable[[GeneratorTraining], GeneratorTraining]
     published: str | None = None
     """The name of the row that LFCA prints."""
+    plain: bool = False
+    """It looks at plain silhouettes, and needs an inpainter of these."""
 
 
 def changed(config: GeneratorTraining, **groups: dict[str, Any]) -> GeneratorTraining:
@@ -31,6 +33,11 @@ def changed(config: GeneratorTraining, **groups: dict[str, Any]) -> GeneratorTra
 def plain(**groups: dict[str, Any]) -> Callable[[GeneratorTraining], GeneratorTraining]:
     """Without decoupling refinement, and with some fields replaced."""
     return lambda config: changed(config, **groups, loss={"decoupling": 0.0}, shares={"looks": 0})
+
+
+def looking(config: GeneratorTraining, decoupling: DecouplingConfig) -> GeneratorTraining:
+    """The configuration with another way of looking, at the precision that it has."""
+    return replace(config, decoupling=replace(decoupling, precision=config.decoupling.precision))
 
 
 VARIANTS: dict[str, Variant] = {
@@ -45,11 +52,15 @@ VARIANTS: dict[str, Variant] = {
     "all-classes": Variant("All pairs of different actions.", plain(data={"pairs": "all"}), "full class"),
     "without-dr": Variant("LFCA without decoupling refinement.", plain(), "w/o DR"),
     "dr-paper": Variant(
-        "LFCA's decoupling refinement as published: of generated motions, one camera, whole pictures.",
-        lambda config: changed(
-            replace(config, decoupling=replace(PAPER, precision=config.decoupling.precision)), shares={"looks": 0}
-        ),
+        "LFCA's decoupling refinement as published: of generated motions, plain silhouettes from one camera.",
+        lambda config: looking(changed(config, shares={"looks": 0}), PAPER),
         "w/ DR",
+        plain=True,
+    ),
+    "dr-plain": Variant(
+        "Ours on plain silhouettes, in which no action owns a part.",
+        lambda config: looking(config, replace(default_for(1), pinned="sequence")),
+        plain=True,
     ),
     "dr-generated": Variant(
         "Ours, of generated motions alone: the pseudo-compositions stay as Eq. 3 makes them.",
@@ -72,9 +83,16 @@ def as_variant(config: GeneratorTraining) -> GeneratorTraining:
     """The configuration as the row that it names, if it names one.
 
     Raises:
-        UserError: there is no such row.
+        UserError: there is no such row, or it needs an MAE that is not given.
     """
     if not config.variant:
         return config
     check_known("--variant", config.variant, VARIANTS)
-    return VARIANTS[config.variant].change(config)
+    variant = VARIANTS[config.variant]
+    if variant.plain and config.mae is None:
+        problem = "looks at plain silhouettes, and the MAE that comes with the package knows parts"
+        remedy = (
+            "train one with `refine train mae plain --out runs/mae-plain` and add --mae runs/mae-plain/best.safetensors"
+        )
+        raise UserError(f"--variant {config.variant}", problem, remedy)
+    return variant.change(config)

@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import pytest
 import torch
@@ -308,13 +309,19 @@ def test_what_counts_as_right_is_part_of_a_recognisers_hash(benchmark, tmp_path)
 
 def test_every_row_changes_what_it_is_named_after_and_nothing_else():
     _, preset = GENERATOR_PRESETS["small"]
-    rows = {name: as_variant(replace(preset, variant=name)) for name in VARIANTS}
+    plain = {name: Path("plain.safetensors") for name, variant in VARIANTS.items() if variant.plain}
+    rows = {name: as_variant(replace(preset, variant=name, mae=plain.get(name))) for name in VARIANTS}
     assert {name for name, row in rows.items() if not row.loss.decoupling} == {
         "pretrain-mask", "disentanglement", "without-mask", "without-gaussian", "all-classes", "without-dr", "dr-shares"
     }  # fmt: skip
-    assert len({repr(replace(row, variant="")) for row in rows.values()}) == len(rows)
+    assert {name for name, row in rows.items() if row.shares.looks} == {
+        "with-dr", "dr-shares", "dr-one-camera", "dr-plain"
+    }  # fmt: skip
+    assert len({repr(replace(row, variant="", mae=None)) for row in rows.values()}) == len(rows)
     for row in rows.values():
         assert (row.loop, row.network, row.batch) == (preset.loop, preset.network, preset.batch)
     assert as_variant(preset) is preset
     with pytest.raises(UserError, match="did you mean without-dr"):
         as_variant(replace(preset, variant="witout-dr"))
+    with pytest.raises(UserError, match="refine train mae plain"):
+        as_variant(replace(preset, variant="dr-paper"))
