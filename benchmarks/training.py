@@ -9,7 +9,8 @@ loss, the gradients and the optimiser, on built-in clips. Time is wall time, the
 do not count.
 
 The decoupling loss's overhead is the median of steps with it over that of steps without, which take turns in one run,
-so that whatever else the machine does falls on both. A preset that takes it at every n-th step pays an n-th of it.
+so that whatever else the machine does falls on both. A preset that takes it at every n-th step pays an n-th of it. The
+shares that are refined once before a run are not in it: benchmarks/shares.py times them.
 """
 
 import argparse
@@ -64,7 +65,8 @@ QUICK = Plan(("small",), 5, (8, 32), (2, 8), (1, 2))
 def prepared(config: GeneratorTraining, device: str) -> GeneratorTraining:
     """A preset on a few built-in clips; on a processor the paper's batch is a 32nd, and so are the clips it looks at,
     which leaves their share as it is."""
-    config = replace(config, data=replace(config.data, synthetic_clips=3, **ACTIONS), device=device)
+    shares = replace(config.shares, looks=0)
+    config = replace(config, data=replace(config.data, synthetic_clips=3, **ACTIONS), shares=shares, device=device)
     if device == "cpu" and config.batch > 100:
         looked = max(1, config.loss.decoupling_clips // 32)
         config = replace(config, batch=config.batch // 32, loss=replace(config.loss, decoupling_clips=looked))
