@@ -4,16 +4,22 @@
 
 For each row and seed it runs the commands that a user would (they are in the results), two at a time on one thread
 each; what is already there is not run again, and a run that was stopped goes on. ``--table`` only draws the table anew.
+Beside the table it keeps learning curves and a sheet of compositions, of those runs whose folders are there.
 """
 
 import argparse
 import hashlib
+import json
 import os
 import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
+from generation_curves import as_json, draw_runs, thinned
+from generation_sheet import draw_sheet
+
+from renderers.images import save_png
 from train.benchmarks import load_benchmark
 from train.checkpoints import replace_file
 from train.lessons import kinds_of
@@ -23,6 +29,7 @@ from train.variants import VARIANTS
 
 RESULTS = Path(__file__).parent / "results"
 CLAIMS = (("with-dr", "without-dr"), ("with-dr", "pretrain-mask"), ("dr-paper", "without-dr"))
+ON_SHEET = ("pretrain-mask", "without-dr", "with-dr")
 
 
 def refine(*arguments: object):
@@ -41,7 +48,7 @@ def refine(*arguments: object):
 def one(row: str, seed: int, args: argparse.Namespace) -> Path:
     """Train one row with one seed and measure it; the evaluation's place among the results."""
     name = f"{row}-{seed}"
-    run, found = args.runs / f"{place(args).name}-{digest(args)}" / name, place(args) / f"{name}.json"
+    run, found = runs_of(args) / name, place(args) / f"{name}.json"
     if not (run / "done").exists():
         resume = ["--resume"] if (run / "config.json").exists() else []
         refine("train", "generator", args.preset, "--data.source", args.benchmark, "--variant", row, "--seed", seed,
@@ -62,6 +69,11 @@ def digest(args: argparse.Namespace) -> str:
     return hashlib.sha256(told.encode()).hexdigest()[:8]
 
 
+def runs_of(args: argparse.Namespace) -> Path:
+    """The folder of all runs with a benchmark, a preset and flags."""
+    return args.runs / f"{place(args).name}-{digest(args)}"
+
+
 def place(args: argparse.Namespace) -> Path:
     """The folder of a benchmark's and preset's results."""
     return args.out / f"{args.benchmark.name}-{args.preset}"
@@ -69,13 +81,29 @@ def place(args: argparse.Namespace) -> Path:
 
 def tabulate(args: argparse.Namespace) -> str:
     """All evaluations that there are, in the order of the rows, and the claims with their intervals."""
-    there = {path: load_evaluation(path) for path in sorted(place(args).glob("*.json"))}
+    there = {path: load_evaluation(path) for path in sorted(place(args).glob("*-[0-9]*.json"))}
     order = list(VARIANTS)
     evaluations: list[Evaluation] = sorted(there.values(), key=lambda each: (order.index(each.row), each.seed))
     rows = {each.row for each in evaluations}
     parts = [comparison_table(evaluations)]
     parts += [contrast_table(evaluations, *claim, paired=False) for claim in CLAIMS if rows.issuperset(claim)]
     return "\n".join(parts)
+
+
+def draw(args: argparse.Namespace):
+    """Curves of all runs that are there, and a sheet of what those with the first seed make."""
+    runs = sorted(log.parent for log in runs_of(args).glob("*/log.jsonl") if (log.parent / "done").exists())
+    if not runs:
+        return
+    curves = {run.name: thinned(run / "log.jsonl") for run in runs}
+    replace_file(place(args) / "curves.json", (json.dumps(as_json(curves)) + "\n").encode())
+    steps = json.loads((runs[0] / "config.json").read_text())["loop"]["steps"]
+    save_png(place(args) / "curves.png", draw_runs(curves, steps, place(args).name))
+    seed = args.seeds[0]
+    shown = {row: runs_of(args) / f"{row}-{seed}" for row in ON_SHEET}
+    shown = {row: run for row, run in shown.items() if run in runs}
+    if shown:
+        save_png(place(args) / "sheet.png", draw_sheet(load_benchmark(args.benchmark), shown, seed))
 
 
 def main() -> None:
@@ -103,6 +131,7 @@ def main() -> None:
                 waiting.result()
     table = tabulate(args)
     replace_file(place(args).with_suffix(".md"), table.encode())
+    draw(args)
     print(table)
 
 
