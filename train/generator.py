@@ -209,29 +209,49 @@ class Training:
         return f"{named} and {len(bad) - 3} more" if len(bad) > 3 else named
 
 
-def name_leans(leans: Tensor, classes: tuple[str, ...]) -> dict[str, dict[str, float]]:
-    """The log odds [C C 5] of the pairs that lean, each pair once."""
-    places = (leans != 0).any(-1).triu().nonzero().tolist()
-    return {f"{classes[i]}+{classes[j]}": dict(zip(PART_NAMES, leans[i, j].tolist(), strict=True)) for i, j in places}
+def name_leans(leans: Tensor, classes: tuple[str, ...]) -> list[dict]:
+    """The log odds [C C 5] of the pairs that lean, each pair once, in words."""
+    return [
+        {"pair": [classes[i], classes[j]], "log_odds": dict(zip(PART_NAMES, leans[i, j].tolist(), strict=True))}
+        for i, j in (leans != 0).any(-1).triu().nonzero().tolist()
+    ]
 
 
 def known_leans(last: Path, classes: tuple[str, ...]) -> Tensor | None:
-    """What ``name_leans`` wrote of a run that goes on; none if it wrote nothing yet."""
+    """What ``name_leans`` wrote of a run that goes on; none if it wrote nothing yet, or of other classes.
+
+    Raises:
+        UserError: it cannot be read.
+    """
     if not last.exists():
         return None
     leans = torch.zeros(len(classes), len(classes), len(PART_NAMES))
-    for pair, by_part in json.loads(last.read_text()).get("leans", {}).items():
-        i, j = map(classes.index, pair.split("+"))
-        leans[i, j] = torch.tensor([by_part[part] for part in PART_NAMES])
+    for found in read_record(last).get("leans", []):
+        if not set(found["pair"]) <= set(classes):
+            return None  # the run is of other clips, and will be refused as such
+        i, j = map(classes.index, found["pair"])
+        leans[i, j] = torch.tensor([found["log_odds"][part] for part in PART_NAMES])
         leans[j, i] = -leans[i, j]
     return leans
+
+
+def read_record(last: Path) -> dict:
+    """What is written with a run's weights.
+
+    Raises:
+        UserError: it cannot be read.
+    """
+    try:
+        return json.loads(last.read_text())
+    except (OSError, ValueError) as error:
+        raise UserError(last, f"cannot be read ({error})", "start again in another folder with --out") from error
 
 
 def refuse_others(last: Path, record: dict):
     """Refuse to go on with a run whose clips or whose inpainter have changed meanwhile."""
     if not last.exists():
         return
-    before = json.loads(last.read_text())
+    before = read_record(last)
     for what, was, now in (
         ("on other clips", before["provenance"]["data_sha256"], record["provenance"]["data_sha256"]),
         ("with another MAE", before.get("mae_sha256"), record["mae_sha256"]),

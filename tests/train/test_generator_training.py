@@ -100,8 +100,12 @@ def test_refined_shares_are_learned_and_kept_with_the_weights(mae, tmp_path, mon
     brief = replace(whole, loop=replace(whole.loop, steps=10))
     train_generator(brief)
     kept = json.loads((tmp_path / "run" / "last.json").read_text())["leans"]
-    assert list(kept) == ["squat+wave-both-hands", "walk+wave-both-hands"]
+    assert [found["pair"] for found in kept] == [["squat", "wave-both-hands"], ["walk", "wave-both-hands"]]
     assert torch.equal(known_leans(tmp_path / "run" / "last.json", leaning.learned.classes), leaning.leans)
+    assert known_leans(tmp_path / "run" / "last.json", ("walk", "drink")) is None
+    (tmp_path / "damaged.json").write_text('{"leans": [')
+    with pytest.raises(UserError, match="cannot be read"):
+        known_leans(tmp_path / "damaged.json", ("walk",))
     monkeypatch.setattr("train.generator.refine_shares", None)  # a run that goes on has no need of it
     train_generator(replace(whole, resume=True))
     monkeypatch.undo()
