@@ -3,8 +3,8 @@
     python benchmarks/generation.py --benchmark synth-c --rows without-dr with-dr --seeds 0 1 2
 
 For each row and seed it runs the commands that a user would (they are in the results), two at a time on one thread
-each; what is already there is not run again, and a run that was stopped goes on. ``--table`` only draws the table anew.
-Beside the table it keeps learning curves and a sheet of compositions, of those runs whose folders are there.
+each; what is already there is not run again, and a run that was stopped goes on. ``--table`` only draws the table anew,
+and beside it learning curves and a sheet of compositions, of those runs whose folders are there.
 """
 
 import argparse
@@ -16,7 +16,7 @@ import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
-from generation_curves import as_json, draw_runs, thinned
+from generation_curves import draw_runs, thinned
 from generation_sheet import draw_sheet
 
 from renderers.images import save_png
@@ -29,7 +29,7 @@ from train.variants import VARIANTS
 
 RESULTS = Path(__file__).parent / "results"
 CLAIMS = (("with-dr", "without-dr"), ("with-dr", "pretrain-mask"), ("dr-paper", "without-dr"))
-ON_SHEET = ("pretrain-mask", "without-dr", "with-dr")
+SHOWN = ("pretrain-mask", "without-dr", "with-dr")
 
 
 def refine(*arguments: object):
@@ -91,19 +91,19 @@ def tabulate(args: argparse.Namespace) -> str:
 
 
 def draw(args: argparse.Namespace):
-    """Curves of all runs that are there, and a sheet of what those with the first seed make."""
+    """The curves of all runs that are or were there, those of `SHOWN` as a picture, and a sheet of what these make."""
     runs = sorted(log.parent for log in runs_of(args).glob("*/log.jsonl") if (log.parent / "done").exists())
-    if not runs:
-        return
-    curves = {run.name: thinned(run / "log.jsonl") for run in runs}
-    replace_file(place(args) / "curves.json", (json.dumps(as_json(curves)) + "\n").encode())
-    steps = json.loads((runs[0] / "config.json").read_text())["loop"]["steps"]
-    save_png(place(args) / "curves.png", draw_runs(curves, steps, place(args).name))
-    seed = args.seeds[0]
-    shown = {row: runs_of(args) / f"{row}-{seed}" for row in ON_SHEET}
+    kept = place(args) / "curves.json"
+    curves = json.loads(kept.read_text()) if kept.exists() else {}
+    curves |= {run.name: thinned(run / "log.jsonl") for run in runs}
+    replace_file(kept, (json.dumps(curves) + "\n").encode())
+    drawn = {name: curve for name, curve in curves.items() if name.rpartition("-")[0] in SHOWN}
+    if drawn:
+        save_png(place(args) / "curves.png", draw_runs(drawn, place(args).name))
+    shown = {row: runs_of(args) / f"{row}-{args.seeds[0]}" for row in SHOWN}
     shown = {row: run for row, run in shown.items() if run in runs}
     if shown:
-        save_png(place(args) / "sheet.png", draw_sheet(load_benchmark(args.benchmark), shown, seed))
+        save_png(place(args) / "sheet.png", draw_sheet(load_benchmark(args.benchmark), shown, args.seeds[0]))
 
 
 def main() -> None:
@@ -116,7 +116,7 @@ def main() -> None:
     parser.add_argument("--runs", type=Path, default=Path("runs"), help="where runs are kept")
     parser.add_argument("--out", type=Path, default=RESULTS, help="where results go")
     parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--table", action="store_true", help="only draw the table of what there is")
+    parser.add_argument("--table", action="store_true", help="only draw table and pictures of what there is")
     parser.add_argument("--flags", nargs=argparse.REMAINDER, default=[], help="more flags of the training, last")
     args = parser.parse_args()
     if not args.table:

@@ -20,8 +20,9 @@ TERMS = {
     "dr": "decoupling loss of generated motions",
 }
 
-Curve = dict[str, list[float]]
-"""A value of each term at ``POINTS`` even steps; a term that a run does not have is absent."""
+Curve = dict[str, list[float | None]]
+"""A value of each term at each per cent of a run; none before it is first taken. A term that it never takes is absent.
+"""
 
 
 def thinned(log: Path, points: int = POINTS) -> Curve:
@@ -32,18 +33,14 @@ def thinned(log: Path, points: int = POINTS) -> Curve:
     ends = [(steps * (n + 1)) // points - 1 for n in range(points)]
     terms = [name for name in TERMS if any(name in row for row in rows)]
     curves = {name: smooth(dense(rows, name, steps), max(1, steps // points)) for name in terms}
-    return {name: [float(f"{curve[end]:.4g}") for end in ends] for name, curve in curves.items()}
+    return {name: [rounded(curve[end]) for end in ends] for name, curve in curves.items()}
 
 
-def as_json(curves: dict[str, Curve]) -> dict[str, dict[str, list[float | None]]]:
-    """The curves as JSON knows them: what is not a number, before a term is first taken, is null."""
-    return {
-        run: {name: [value if math.isfinite(value) else None for value in values] for name, values in curve.items()}
-        for run, curve in curves.items()
-    }
+def rounded(value: float) -> float | None:
+    return float(f"{value:.4g}") if math.isfinite(value) else None
 
 
-def draw_runs(curves: dict[str, Curve], steps: int, title: str) -> Tensor:
+def draw_runs(curves: dict[str, Curve], title: str) -> Tensor:
     """A chart for each term with a line for each row, the mean over its seeds: [3 H W] in 0..1.
 
     Args:
@@ -58,8 +55,8 @@ def draw_runs(curves: dict[str, Curve], steps: int, title: str) -> Tensor:
         for row, seeds in rows.items():
             known = [curve[term] for curve in seeds if term in curve]
             if known:
-                lines[row] = [mean(values) for values in zip(*known, strict=True)]
+                lines[row] = [math.nan if None in values else mean(values) for values in zip(*known, strict=True)]
         if lines:
-            charts.append(chart(lines, f"{title}: {said}, over per cent of {steps:,} steps", size=(360, 860)))
+            charts.append(chart(lines, f"{title}: {said}, against per cent of the steps", size=(360, 860)))
     width = max(one.shape[2] for one in charts)
     return torch.cat([pad(one, (0, width - one.shape[2]), value=1.0) for one in charts], dim=1)

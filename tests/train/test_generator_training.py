@@ -243,7 +243,7 @@ def test_actions_are_learned_alone_for_actor_itself(mae, tmp_path):
 
 
 def test_presets_are_complete():
-    assert MAE_PRESETS.keys() == {"tiny", "small", "paper"}
+    assert MAE_PRESETS.keys() == {"tiny", "small", "plain", "paper"}
     assert GENERATOR_PRESETS.keys() == {"tiny", "small", "paper"}
     assert GENERATOR_PRESETS["paper"][1].batch == 800
 
