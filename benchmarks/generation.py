@@ -15,6 +15,7 @@ import subprocess
 import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
+from threading import Lock
 
 from generation_curves import draw_runs, thinned
 from generation_sheet import draw_sheet
@@ -27,6 +28,7 @@ from train.recogniser import place_of
 from train.tables import Evaluation, comparison_table, contrast_table, load_evaluation
 from train.variants import VARIANTS
 
+TRAINING_MAE = Lock()
 RESULTS = Path(__file__).parent / "results"
 CLAIMS = (("with-dr", "without-dr"), ("with-dr", "pretrain-mask"), ("dr-paper", "without-dr"))
 SHOWN = ("pretrain-mask", "without-dr", "with-dr")
@@ -52,7 +54,7 @@ def one(row: str, seed: int, args: argparse.Namespace) -> Path:
     if not (run / "done").exists():
         resume = ["--resume"] if (run / "config.json").exists() else []
         refine("train", "generator", args.preset, "--data.source", args.benchmark, "--variant", row, "--seed", seed,
-               "--out", run, *args.flags, *resume)  # fmt: skip
+               "--out", run, *inpainter(row, args), *args.flags, *resume)  # fmt: skip
         (run / "done").touch()
     if found.exists() and load_evaluation(found).hashes["benchmark"] != load_benchmark(args.benchmark).hash:
         raise RuntimeError(f"{found} is of another build of the benchmark; remove it")
@@ -61,6 +63,18 @@ def one(row: str, seed: int, args: argparse.Namespace) -> Path:
         found.with_suffix(".md").unlink()  # the table of all rows says the same
     print(found, flush=True)
     return found
+
+
+def inpainter(row: str, args: argparse.Namespace) -> list:
+    """The flag of a row that looks at plain silhouettes; their inpainter is trained when the first one asks."""
+    if not VARIANTS[row].plain:
+        return []
+    run = args.runs / "mae-plain"
+    with TRAINING_MAE:
+        if not (run / "done").exists():
+            refine("train", "mae", "plain", "--out", run, *(["--resume"] if (run / "config.json").exists() else []))
+            (run / "done").touch()
+    return ["--mae", run / "best.safetensors"]
 
 
 def digest(args: argparse.Namespace) -> str:
@@ -75,8 +89,8 @@ def runs_of(args: argparse.Namespace) -> Path:
 
 
 def place(args: argparse.Namespace) -> Path:
-    """The folder of a benchmark's and preset's results."""
-    return args.out / f"{args.benchmark.name}-{args.preset}"
+    """The folder of a benchmark's and preset's results; with other flags they are others."""
+    return args.out / "-".join([args.benchmark.name, args.preset, *([digest(args)] if args.flags else [])])
 
 
 def tabulate(args: argparse.Namespace) -> str:

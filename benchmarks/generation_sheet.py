@@ -51,10 +51,11 @@ def first_set(run: Path, asked: Asked) -> Sample:
     Raises:
         UserError: no such run, one that is not finished, or one of another benchmark.
     """
-    weights, trained, config = run / "last.safetensors", read_config(run), EvaluationConfig()
+    weights, config = run / "last.safetensors", EvaluationConfig()
+    generator, trained = load_generator(weights), read_config(run)
     check_run(run, trained, json.loads(weights.with_suffix(".json").read_text()), asked.benchmark)
     coupled = trained["coupling"] if trained["data"]["pairs"] == "single" else None
-    draw = generated(load_generator(weights), asked, coupled, config)
+    draw = generated(generator, asked, coupled, config)
     return draw(torch.Generator().manual_seed(seed_of(config.seed, 0)))
 
 

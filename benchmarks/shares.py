@@ -2,10 +2,11 @@
 
     python benchmarks/shares.py --benchmark synth-c
 
-Nothing is generated here: windows of training clips are coupled as they are for training, and measured against the test
+Nothing is generated here: windows of training clips are coupled at lambda a half, and measured against the test
 compositions as `refine evaluate` measures a generator. The rows differ in how the shares of parts are found: by Eq. 3;
 by ownership alone, which needs no picture; by the decoupling loss, ours with several weights of ``stay`` and with an
-inpainter that has learned nothing or does nothing, and the published one. The table goes beside the JSON, as Markdown.
+inpainter that has learned nothing or does nothing, and as published but for the pictures, which show parts as ours do,
+since the inpainter is ours. The table goes beside the JSON, as Markdown.
 """
 
 import argparse
@@ -54,7 +55,7 @@ def by_table(table: Tensor) -> Leans:
 
 
 def by_ownership(decoupler: Decoupler) -> Leans:
-    """Every part wholly to the action that answers for it, clip by clip."""
+    """Every part to the action that answers for it, as far as it does, clip by clip; nobody's parts stay."""
 
     def lean(batch: Pairs) -> Tensor:
         sides = decoupler.ownership(*(Clips(*from_features(some)) for some in (batch.features_i, batch.features_j)))
@@ -87,7 +88,9 @@ def ways(training: Training) -> dict[str, Callable[[], Leans]]:
         },
         "the same, untrained inpainter": lambda: decoupled(judged=judged("untrained")),
         "the same, no inpainter": lambda: decoupled(judged=judged("none")),
-        "decoupling as published": lambda: decoupled(judged=Decoupler(training.body, decoupler.mae, published)),
+        "the published loss, on pictures of parts": lambda: decoupled(
+            judged=Decoupler(training.body, decoupler.mae, published)
+        ),
     }
 
 

@@ -15,6 +15,9 @@ from renderers.skeleton import JOINTS, PARENTS, forward_kinematics
 LambdaLaw = Literal["gaussian", "uniform", "half"]
 
 EPSILON = 1e-8
+FARTHEST = (
+    30.0  # log odds, beyond which a share is 0 or 1 to the last digit and its exponential nears the largest number
+)
 HIPS = [JOINTS["left_hip"], JOINTS["right_hip"]]  # each has the weight of its leg
 
 
@@ -87,7 +90,7 @@ def coupling_weights(
     if config.root == "legs_owner" and config.mask:
         root = (torch.sign(root - 0.5) + 1) / 2
     if lean is not None:
-        of_i = of_i * spread_to_joints(lean).exp()
+        of_i = of_i * spread_to_joints(lean).clamp(-FARTHEST, FARTHEST).exp()
         weights = of_i / (of_i + of_j)
     return torch.cat([root, weights[..., 1:]], dim=-1)
 
@@ -187,6 +190,8 @@ def couple_features(
     ``coupling_weights``."""
     config = config or CouplingConfig()
     check_shapes("couple_features", x_i=(x_i, "B T 25 6"), x_j=(x_j, "B T 25 6"), lam=(lam, "B"))
+    if lean is not None:
+        check_shapes("couple_features", {"B": len(lam)}, lean=(lean, "B 5"))
     poses = [from_features(x) for x in (x_i, x_j)]
     energies = [joint_energies(energy_signal(*pose, rest_joints, config.energy_space)) for pose in poses]
     weights = coupling_weights(*energies, lam, config, lean)

@@ -10,7 +10,7 @@ from refine.decoupling import DecouplingConfig
 from refine.generator import SMALL, TINY, NetworkConfig
 from refine.mae import MAEConfig
 from refine.seeing import check_drawn
-from renderers.checks import UserError, check_range
+from renderers.checks import check_range
 from train.data import DataConfig
 from train.loop import LoopConfig
 from train.pictures import PictureConfig
@@ -82,10 +82,6 @@ class GeneratorTraining:
 
     def __post_init__(self):
         check_range(self, 1, math.inf, "batch", "accumulate", "measured")
-        frames = self.data.frames or self.loss.decoupling_frames
-        if self.loss.decoupling_frames > frames:
-            problem = f"{self.loss.decoupling_frames} of {frames} frames cannot be drawn"
-            raise UserError("GeneratorLoss(decoupling_frames)", problem)
 
 
 MAE_LOOP = LoopConfig(

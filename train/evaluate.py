@@ -51,6 +51,8 @@ from train.loop import seed_of
 from train.recogniser import load_recognisers, place_of
 from train.tables import Evaluation
 
+MEASURES = 1
+"""Goes up when a measure changes, so that what was kept of the old one is measured anew."""
 UNTOLD = ("fid_true", "kid_true", "accuracy_true", "nearest_true", "covered_true")
 """What says nothing of the true compositions, which are measured against themselves by a recogniser of themselves."""
 LIBRARIES = ("refine-motion", "torch", "numpy", "timm")
@@ -247,11 +249,11 @@ def beside(judge: Judge, config: EvaluationConfig, measures: Iterable[str]) -> B
     """What is the same for every generator, from ``beside.json`` with the recognisers or else measured and put there.
 
     It is measured anew when the file is missing or damaged, or is of another benchmark, recogniser, number of repeats,
-    seed or version, or lacks one of ``measures``. Where it cannot be written it is not kept.
+    seed, device or version, or lacks one of ``measures``. Where it cannot be written it is not kept.
     """
     path, measures = place_of(judge.benchmark, "beside").with_suffix(".json"), set(measures)
-    key = {"version": metadata.version("refine-motion"), "repeats": config.repeats, "seed": config.seed}
-    key |= hashes_of(judge)
+    key = {"measures": MEASURES, "repeats": config.repeats, "seed": config.seed, "device": config.device}
+    key |= hashes_of(judge) | {name: metadata.version(name) for name in LIBRARIES}
     found = read_beside(path, key)
     told = measures.difference(UNTOLD) if judge.benchmark.has_true else set()
     if found and found.real.keys() == measures and found.truth.keys() == told:
@@ -271,7 +273,7 @@ def read_beside(path: Path, key: dict[str, Any]) -> Beside | None:
                 if len(values) != count or not all(map(math.isfinite, values)):
                     return None
         return Beside(found["real"], found["truth"]) if found["key"] == key else None
-    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError):
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, RecursionError, OverflowError):
         return None
 
 

@@ -19,14 +19,16 @@ from renderers.skeleton import PART_NAMES
 from train.checkpoints import hash_motions, hash_tensors, provenance, read_weights
 from train.config import GeneratorTraining
 from train.data import ClipStore, Draw, Pairs, draw_batch, draw_windows, index_pairs, open_source, pair_labels, split
-from train.loop import check_device, check_loop, fit, open_run, seed_of
+from train.loop import check_device, check_folder, check_loop, fit, open_run, seed_of
 from train.processes import Processes, together
 from train.shares import refine_shares
 from train.steps import GeneratorLoss, Noise, Share, draw_noise, generator_step
+from train.variants import VARIANTS
 
 MEASURED = 3  # seed of what is drawn to measure with
 TYPICAL, PRIOR = 4, 5  # seeds of what is drawn to standardise by, and to fit priors to
 SHARES = 6  # and, with the run's seed, to refine shares with
+AGAIN = "start again in another folder with --out"
 FITTED = 256  # compositions of a pair that its prior is fitted to
 
 
@@ -41,6 +43,9 @@ def train_generator(config: GeneratorTraining) -> Path:
     with together(config.device) as (processes, device):
         check_device(device)
         check_loop(config.loop)
+        with processes.agreeing():
+            if processes.first:
+                check_folder(config.out, config.resume)
         return Training(config, processes, device).run()
 
 
@@ -60,6 +65,8 @@ class Training:
         self.learned, self.unseen = ClipStore.build(learned), ClipStore.build(unseen)
         self.pairs = index_pairs(self.learned, labels)
         mae = load_mae(config.mae).to(device) if config.loss.decoupling or config.shares.looks else None
+        if mae:
+            check_looking(config, mae.config.channels)
         self.decoupler = Decoupler(self.body, mae, config.decoupling) if mae else None
         leans = known_leans(config.out / "last.json", self.learned.classes) if config.resume else None
         self.leans = self.refine_shares() if leans is None else leans
@@ -90,18 +97,22 @@ class Training:
         self.learned, self.unseen, self.leans = (held.to(device) for held in (self.learned, self.unseen, self.leans))
 
     def refine_shares(self) -> Tensor:
-        """What pairs of classes lean to [C C 5], by decoupling: the same on every process."""
+        """What pairs of classes lean to [C C 5], by decoupling: the first process finds it for all."""
         config, store = self.config, self.learned.to(self.device)
-        return refine_shares(
-            lambda classes, random: store.pairs(draw_windows(store, classes, config.data, random), config.data),
-            self.pairs,
-            len(store.classes),
-            self.decoupler,
-            config.coupling,
-            config.shares,
-            torch.Generator().manual_seed(seed_of(config.loop.seed, SHARES)),
-            quiet=not self.processes.first,
-        )
+        leans = torch.zeros(len(store.classes), len(store.classes), len(PART_NAMES), device=self.device)
+        with self.processes.agreeing():
+            if self.processes.first:
+                leans += refine_shares(
+                    lambda classes, random: store.pairs(draw_windows(store, classes, config.data, random), config.data),
+                    self.pairs,
+                    len(store.classes),
+                    self.decoupler,
+                    config.coupling,
+                    config.shares,
+                    torch.Generator().manual_seed(seed_of(config.loop.seed, SHARES)),
+                ).to(self.device)
+        self.processes.sum([leans])  # the others' are zero
+        return leans.cpu()
 
     def compositions(self, classes: Tensor, random: torch.Generator) -> tuple[Tensor, Pairs]:
         """Pseudo-compositions [B T 25 6] of pairs of classes [B 2], and what they are made of."""
@@ -209,6 +220,19 @@ class Training:
         return f"{named} and {len(bad) - 3} more" if len(bad) > 3 else named
 
 
+def check_looking(config: GeneratorTraining, channels: int):
+    """Refuse an inpainter that does not fit the row of the tables, or more frames than a window has."""
+    if config.variant and VARIANTS[config.variant].plain and channels != 1:
+        problem = f"looks at plain silhouettes, and {config.mae} reads {channels} channels"
+        raise UserError(f"--variant {config.variant}", problem, "give one of `refine train mae plain`")
+    for flag, frames in (
+        ("--loss.decoupling-frames", config.loss.decoupling_frames),
+        ("--shares.frames", config.shares.frames),
+    ):
+        if frames > config.data.frames:
+            raise UserError(flag, f"{frames} of {config.data.frames} frames cannot be drawn", "ask for fewer")
+
+
 def name_leans(leans: Tensor, classes: tuple[str, ...]) -> list[dict]:
     """The log odds [C C 5] of the pairs that lean, each pair once, in words."""
     return [
@@ -226,12 +250,15 @@ def known_leans(last: Path, classes: tuple[str, ...]) -> Tensor | None:
     if not last.exists():
         return None
     leans = torch.zeros(len(classes), len(classes), len(PART_NAMES))
-    for found in read_record(last).get("leans", []):
-        if not set(found["pair"]) <= set(classes):
-            return None  # the run is of other clips, and will be refused as such
-        i, j = map(classes.index, found["pair"])
-        leans[i, j] = torch.tensor([found["log_odds"][part] for part in PART_NAMES])
-        leans[j, i] = -leans[i, j]
+    try:
+        for found in read_record(last).get("leans", []):
+            if not set(found["pair"]) <= set(classes):
+                return None  # the run is of other clips, and will be refused as such
+            i, j = map(classes.index, found["pair"])
+            leans[i, j] = torch.tensor([found["log_odds"][part] for part in PART_NAMES])
+            leans[j, i] = -leans[i, j]
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        raise UserError(last, f"has damaged leans ({error!r})", AGAIN) from error
     return leans
 
 
@@ -244,7 +271,7 @@ def read_record(last: Path) -> dict:
     try:
         return json.loads(last.read_text())
     except (OSError, ValueError) as error:
-        raise UserError(last, f"cannot be read ({error})", "start again in another folder with --out") from error
+        raise UserError(last, f"cannot be read ({error})", AGAIN) from error
 
 
 def refuse_others(last: Path, record: dict):

@@ -257,6 +257,15 @@ def open_run(folder: Path, config: Any, resume: bool):
         UserError: the folder holds a run and ``resume`` is not asked for, or the other way round; or it holds a run of
             another configuration; or it is a file.
     """
+    check_folder(folder, resume)
+    if resume:
+        refuse_changes(folder / "config.json", config)
+    folder.mkdir(parents=True, exist_ok=True)
+    replace_file(folder / "config.json", to_json(config))
+
+
+def check_folder(folder: Path, resume: bool):
+    """Refuse a run folder for what is in it, as ``open_run`` does, and write nothing."""
     if folder.exists() and not folder.is_dir():
         raise UserError(folder, "is a file", "give a folder with --out")
     held = (folder / "config.json").exists()
@@ -264,10 +273,6 @@ def open_run(folder: Path, config: Any, resume: bool):
         raise UserError(folder, "already holds a run", "go on with --resume, or choose another folder with --out")
     if resume and not held:
         raise UserError(folder, "holds no run to resume", "start it without --resume")
-    if resume:
-        refuse_changes(folder / "config.json", config)
-    folder.mkdir(parents=True, exist_ok=True)
-    replace_file(folder / "config.json", to_json(config))
 
 
 def refuse_changes(stored: Path, config: Any):

@@ -16,7 +16,7 @@ from tqdm import tqdm
 
 from refine.coupling import CouplingConfig, couple_features
 from refine.decoupling import Decoupler
-from renderers.checks import check_range
+from renderers.checks import UserError, check_range
 from renderers.skeleton import PART_NAMES
 from train.data import Pairs
 from train.steps import decoupling_term
@@ -31,7 +31,7 @@ class SharesConfig:
     frames: int = 1
     """Random frames of each that are drawn."""
     pairs: int = 16
-    """Pairs of actions that are refined at once; only memory and time depend on it."""
+    """Pairs of actions that are refined at once, each by itself: memory and time depend on it, and what is drawn."""
     rate: float = 0.1
     """Adam's step for the log odds."""
     stay: float = 1e-5
@@ -40,6 +40,8 @@ class SharesConfig:
     def __post_init__(self):
         check_range(self, 0, math.inf, "looks", "stay")
         check_range(self, 1, math.inf, "frames", "pairs")
+        if not 0 < self.rate < math.inf:
+            raise UserError("SharesConfig(rate)", f"{self.rate} is not positive")
 
 
 def refine_shares(
@@ -63,6 +65,9 @@ def refine_shares(
     Returns:
         [classes classes 5] log odds for ``coupling_weights``: of a pair (i, j) the negative of those of (j, i), and 0
         for pairs that are not among ``pairs``.
+
+    Raises:
+        UserError: they are not finite.
     """
     leans = torch.zeros(classes, classes, len(PART_NAMES))
     ordered = torch.tensor(sorted({tuple(sorted(pair)) for pair in pairs.tolist() if pair[0] != pair[1]}))
@@ -71,6 +76,8 @@ def refine_shares(
         for some in groups:
             lean = refine_group(draw, some, decoupler, coupling, config, random, bar.update).cpu()
             leans[some[:, 0], some[:, 1]], leans[some[:, 1], some[:, 0]] = lean, -lean
+    if not leans.isfinite().all():
+        raise UserError("--shares", "the refined shares are not finite", "lower --shares.rate")
     return leans
 
 

@@ -39,7 +39,7 @@ class GeneratorLoss:
     kl_reduction: Literal["mean", "sum"] = "mean"
     """Over the batch; over the latent it is always the sum."""
     decoupling: float = 1e-2
-    """Of the decoupling loss; 0 leaves it out and draws nothing."""
+    """Of the decoupling loss of generated motions; 0 leaves it out. With ``shares.looks`` 0 too nothing is drawn."""
     decoupling_clips: int = 8
     """Clips of a batch that are drawn."""
     decoupling_frames: int = 2

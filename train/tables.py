@@ -86,8 +86,8 @@ OVER_SEEDS = (
     "compositions that the mask operator makes of training clips, as many; they do not compete."
 )
 OF_TRUTH = (
-    f"{TRUE}: the benchmark's own, measured once in the same way. A method that composed perfectly would have this "
-    "FID-C, which is not the lowest; what compares them with themselves is left out."
+    f"{TRUE}: the benchmark's own, measured once in the same way. A method that composed perfectly would have about "
+    "this FID-C, which is not the lowest; what compares them with themselves is left out."
 )
 
 

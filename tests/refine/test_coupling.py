@@ -79,6 +79,8 @@ def test_leaning_adds_to_the_log_odds_of_each_part_and_swaps(lam, seed):
         torch.testing.assert_close(raised, lean[row].expand(len(some)), atol=1e-5, rtol=0)
     assert leaning[0] == plain[0]  # whose travel it is stays
     torch.testing.assert_close(coupling_weights(of_j, of_i, 1 - lam, CONFIG, -lean), 1 - leaning)
+    given_away = coupling_weights(of_i.float(), of_j.float(), lam, CONFIG, torch.full((5,), 1e4))
+    assert torch.allclose(given_away[1:], torch.ones(23))
 
 
 def test_switches():

@@ -24,6 +24,7 @@ from train.loop import LoopConfig
 from train.processes import Processes
 from train.shares import SharesConfig
 from train.steps import GeneratorLoss
+from train.variants import as_variant
 
 
 @pytest.fixture(scope="module")
@@ -103,9 +104,20 @@ def test_refined_shares_are_learned_and_kept_with_the_weights(mae, tmp_path, mon
     assert [found["pair"] for found in kept] == [["squat", "wave-both-hands"], ["walk", "wave-both-hands"]]
     assert torch.equal(known_leans(tmp_path / "run" / "last.json", leaning.learned.classes), leaning.leans)
     assert known_leans(tmp_path / "run" / "last.json", ("walk", "drink")) is None
-    (tmp_path / "damaged.json").write_text('{"leans": [')
-    with pytest.raises(UserError, match="cannot be read"):
-        known_leans(tmp_path / "damaged.json", ("walk",))
+    for damaged in (
+        '{"leans": [',
+        "[]",
+        '{"leans": null}',
+        '{"leans": [{}]}',
+        '{"leans": [{"pair": ["walk", "walk"]}]}',
+    ):
+        (tmp_path / "damaged.json").write_text(damaged)
+        with pytest.raises(UserError, match="cannot be read|damaged leans"):
+            known_leans(tmp_path / "damaged.json", ("walk",))
+    monkeypatch.setattr("train.generator.refine_shares", None)
+    with pytest.raises(UserError, match="already holds a run"):  # said before anything is refined
+        train_generator(whole)
+    monkeypatch.undo()
     monkeypatch.setattr("train.generator.refine_shares", None)  # a run that goes on has no need of it
     train_generator(replace(whole, resume=True))
     monkeypatch.undo()
@@ -240,6 +252,19 @@ def test_actions_are_learned_alone_for_actor_itself(mae, tmp_path):
     train_generator(replace(whole, data=data, loop=LoopConfig(steps=2, save_every=2)))
     assert load_generator(tmp_path / "run").config.classes == ("drink", "squat", "walk", "wave-both-hands")
     assert json.loads((tmp_path / "run" / "best.json").read_text())["data"]["pairs"] == 4
+
+
+def test_a_way_of_looking_that_cannot_be_is_refused(mae, tmp_path):
+    whole = config(tmp_path / "run", mae)
+    with pytest.raises(UserError, match="70 of 20 frames cannot be drawn"):
+        train_generator(replace(whole, shares=SharesConfig(looks=1, frames=70)))
+    with pytest.raises(UserError, match="21 of 20 frames cannot be drawn"):
+        train_generator(replace(whole, loss=GeneratorLoss(decoupling_frames=21)))
+    with pytest.raises(UserError, match=r"plain silhouettes, and .* reads 6 channels"):
+        train_generator(as_variant(replace(whole, variant="dr-paper")))
+    with pytest.raises(UserError, match="is not positive"):
+        SharesConfig(rate=-1.0)
+    assert not (tmp_path / "run").exists()
 
 
 def test_presets_are_complete():

@@ -20,6 +20,7 @@ from train.data import DataConfig
 from train.generator import train_generator
 from train.loop import LoopConfig
 from train.processes import Processes
+from train.shares import SharesConfig
 from train.steps import GeneratorLoss
 
 NETWORK = replace(TINY, latent=32, feedforward=32, layers=1, dropout=0.0)
@@ -27,7 +28,8 @@ STEPS = 10
 FLAGS = (
     "--data.lower walk squat --data.upper wave-both-hands --data.frames 12 --data.synthetic-clips 2 "
     "--data.synthetic-seconds 1 --network.latent 32 --network.feedforward 32 --network.layers 1 --network.dropout 0 "
-    "--loss.decoupling-clips 3 --loss.decoupling-frames 1 --loss.decoupling-every 2 --batch 5 --measured 3 "
+    "--loss.decoupling-clips 3 --loss.decoupling-frames 1 --loss.decoupling-every 2 --shares.looks 2 --batch 5 "
+    "--measured 3 "
     f"--loop.steps {STEPS} --loop.warmup 0 --loop.save-every 5"
 ).split()
 
@@ -42,6 +44,7 @@ def config(folder: Path, **changes) -> GeneratorTraining:
         data=data,
         network=NETWORK,
         loss=GeneratorLoss(decoupling_clips=3, decoupling_frames=1, decoupling_every=2),
+        shares=SharesConfig(looks=2),
         loop=LoopConfig(steps=STEPS, learning_rate=1e-3, clip_gradients=1.0, save_every=5),
         batch=5,
         measured=3,
