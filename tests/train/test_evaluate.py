@@ -1,5 +1,6 @@
 """Evaluation on a small benchmark: what is drawn, what is measured, and what is refused."""
 
+import importlib
 import json
 from dataclasses import replace
 from pathlib import Path
@@ -305,6 +306,17 @@ def test_what_counts_as_right_is_part_of_a_recognisers_hash(benchmark, tmp_path)
     found["config"]["alike"] = [["a", "b"]]
     described.write_text(json.dumps(found))
     assert hash_recogniser(tmp_path / "legs.safetensors") != before
+
+
+def test_a_sheet_shows_the_first_set_that_is_measured(run, benchmark, judge, monkeypatch):
+    monkeypatch.syspath_prepend(str(Path(__file__).resolve().parents[2] / "benchmarks"))
+    sheet = importlib.import_module("generation_sheet")
+    measured = []
+    monkeypatch.setattr(Judge, "measure", lambda self, sample, random: measured.append(sample) or {"fid_c": 0.0})
+    evaluate(run, benchmark, EvaluationConfig(repeats=1))
+    shown = sheet.first_set(run, sheet.Asked(benchmark, judge.pairs, judge.rest_joints))
+    assert torch.equal(shown.rotations, measured[0].rotations)
+    assert torch.equal(shown.root, measured[0].root)
 
 
 def test_every_row_changes_what_it_is_named_after_and_nothing_else():
