@@ -151,7 +151,7 @@ GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
         ),
     ),
     "small": (
-        "A benchmark's few actions: ten minutes on one core.",
+        "A benchmark's few actions: a quarter of an hour on one core.",
         GeneratorTraining(
             network=SMALL,
             loss=GeneratorLoss(
