@@ -129,13 +129,19 @@ def under(tensors: dict[str, Tensor], owner: str) -> dict[str, Tensor]:
 def provenance(seed: int, data_hash: str) -> dict[str, Any]:
     """How a run came to be: the command, the seed, the data, the versions and, in a checkout, the commit."""
     return {
-        "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+        "command": command(),
         "seed": seed,
         "data_sha256": data_hash,
         "versions": {"python": platform.python_version()}
         | {name: metadata.version(name) for name in ("refine-motion", "torch", "timm")},
         "commit": commit(),
     }
+
+
+def command() -> str:
+    """The command line of this process, as one would type it."""
+    name = Path(sys.argv[0]).name
+    return shlex.join(["refine" if name == "main.py" else name, *sys.argv[1:]])  # python -m refine.cli.main
 
 
 def commit() -> str | None:

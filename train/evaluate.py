@@ -11,8 +11,6 @@ import hashlib
 import json
 import math
 import platform
-import shlex
-import sys
 import time
 from collections.abc import Callable, Iterable
 from contextlib import suppress
@@ -44,7 +42,7 @@ from renderers.checks import UserError, check_known, check_range
 from renderers.rotations import matrix_to_6d
 from renderers.skeleton import forward_kinematics
 from train.benchmarks import Benchmark
-from train.checkpoints import commit, replace_file, to_json
+from train.checkpoints import command, commit, replace_file, to_json
 from train.data import ClipStore, DataConfig, draw_windows, index_pairs
 from train.generator import load_generator
 from train.loop import seed_of
@@ -318,7 +316,7 @@ def evaluate(run: Path, benchmark: Benchmark, config: EvaluationConfig, row: str
         versions={"python": platform.python_version()} | {name: metadata.version(name) for name in LIBRARIES},
         hashes={"model": sha256(weights)} | hashes_of(judge),
         provenance={
-            "command": shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]]),
+            "command": command(),
             "commit": commit(),
             "hardware": f"{platform.machine()}, {torch.get_num_threads()} threads, {config.device}",
             "seconds": round(time.monotonic() - started, 1),

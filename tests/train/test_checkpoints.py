@@ -112,6 +112,13 @@ def test_a_state_of_another_model_is_refused(tmp_path, trained):
         load_state(tmp_path / "w.safetensors", *trained)
 
 
+def test_a_command_is_named_as_one_would_type_it(monkeypatch):
+    monkeypatch.setattr("sys.argv", ["/somewhere/refine/cli/main.py", "evaluate", "my run"])
+    assert provenance(0, "")["command"] == "refine evaluate 'my run'"
+    monkeypatch.setattr("sys.argv", ["/somewhere/bin/refine", "demo"])
+    assert provenance(0, "")["command"] == "refine demo"
+
+
 def test_provenance_names_seed_data_and_versions():
     found = provenance(3, "abc")
     assert (found["seed"], found["data_sha256"]) == (3, "abc")
