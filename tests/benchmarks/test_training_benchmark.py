@@ -1,6 +1,7 @@
 """What the training benchmark measures with: turns, ratios, stages of a real step, the report."""
 
 import importlib
+import itertools
 import time
 from dataclasses import replace
 from pathlib import Path
@@ -50,10 +51,10 @@ def test_the_paper_s_batch_is_cut_where_there_is_no_gpu(training):
     assert on_cpu.network == on_gpu.network == paper.network
 
 
-def test_the_stages_of_a_step_are_all_there_and_add_up_to_it(training):
+def test_the_stages_of_a_step_are_all_there_and_add_up_to_it(training, monkeypatch):
+    monkeypatch.setattr("time.perf_counter", itertools.count().__next__)  # time passes by looking at the clock alone
     preset = training.prepared(GENERATOR_PRESETS["tiny"][1], "cpu")
     stepper = training.Stepper(replace(preset, network=replace(TINY, latent=32, layers=1), batch=4))
-    stepper.stages()
     start = time.perf_counter()
     found = stepper.stages()
     whole = time.perf_counter() - start
@@ -62,7 +63,7 @@ def test_the_stages_of_a_step_are_all_there_and_add_up_to_it(training):
     trained = {"generator", "losses", "body", "renderer", "projection", "MAE", "blur"}
     assert {name for name, (_, backward) in found.items() if backward > 0} >= trained
     assert all(forward > 0 for forward, _ in found.values())
-    assert 0.5 * whole < sum(map(sum, found.values())) < 1.01 * whole  # the rest is the measurement's own
+    assert 0.9 * whole < sum(map(sum, found.values())) <= whole  # what is left is the measurement's own
 
 
 def test_a_step_without_the_decoupling_loss_does_not_look(training, monkeypatch):
