@@ -85,7 +85,7 @@ def digest(args: argparse.Namespace) -> str:
 
 def runs_of(args: argparse.Namespace) -> Path:
     """The folder of all runs with a benchmark, a preset and flags."""
-    return args.runs / f"{place(args).name}-{digest(args)}"
+    return args.runs / f"{args.benchmark.name}-{args.preset}-{digest(args)}"
 
 
 def place(args: argparse.Namespace) -> Path:

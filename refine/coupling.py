@@ -15,9 +15,7 @@ from renderers.skeleton import JOINTS, PARENTS, forward_kinematics
 LambdaLaw = Literal["gaussian", "uniform", "half"]
 
 EPSILON = 1e-8
-FARTHEST = (
-    30.0  # log odds, beyond which a share is 0 or 1 to the last digit and its exponential nears the largest number
-)
+FARTHEST = 30.0  # log odds: a share is 0 or 1 to the last digit long before, and its exponential soon overflows
 HIPS = [JOINTS["left_hip"], JOINTS["right_hip"]]  # each has the weight of its leg
 
 

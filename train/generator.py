@@ -266,12 +266,14 @@ def read_record(last: Path) -> dict:
     """What is written with a run's weights.
 
     Raises:
-        UserError: it cannot be read.
+        UserError: it cannot be read, or does not say what was learned.
     """
     try:
-        return json.loads(last.read_text())
-    except (OSError, ValueError) as error:
-        raise UserError(last, f"cannot be read ({error})", AGAIN) from error
+        found = json.loads(last.read_text())
+        found["provenance"]["data_sha256"]
+    except (OSError, ValueError, KeyError, TypeError) as error:
+        raise UserError(last, f"cannot be read ({error!r})", AGAIN) from error
+    return found
 
 
 def refuse_others(last: Path, record: dict):

@@ -21,6 +21,8 @@ from renderers.skeleton import PART_NAMES
 from train.data import Pairs
 from train.steps import decoupling_term
 
+FASTEST = 10.0  # log odds a step: with three of them a share is 0 or 1 to the last digit
+
 
 @dataclass(frozen=True)
 class SharesConfig:
@@ -40,8 +42,8 @@ class SharesConfig:
     def __post_init__(self):
         check_range(self, 0, math.inf, "looks", "stay")
         check_range(self, 1, math.inf, "frames", "pairs")
-        if not 0 < self.rate < math.inf:
-            raise UserError("SharesConfig(rate)", f"{self.rate} is not positive")
+        if not 0 < self.rate <= FASTEST:
+            raise UserError("SharesConfig(rate)", f"expected more than 0 and at most {FASTEST:g}, got {self.rate}")
 
 
 def refine_shares(
@@ -52,7 +54,6 @@ def refine_shares(
     coupling: CouplingConfig,
     config: SharesConfig,
     random: torch.Generator,
-    quiet: bool = False,
 ) -> Tensor:
     """Find what every pair of actions leans to, each pair by itself.
 
@@ -60,7 +61,6 @@ def refine_shares(
         draw: windows of pairs of classes [B 2].
         pairs: [P 2] long; a pair and its mirror image are one, and an action with itself leans to nothing.
         classes: how many there are.
-        quiet: show no progress.
 
     Returns:
         [classes classes 5] log odds for ``coupling_weights``: of a pair (i, j) the negative of those of (j, i), and 0
@@ -72,7 +72,7 @@ def refine_shares(
     leans = torch.zeros(classes, classes, len(PART_NAMES))
     ordered = torch.tensor(sorted({tuple(sorted(pair)) for pair in pairs.tolist() if pair[0] != pair[1]}))
     groups = ordered.split(config.pairs) if config.looks and len(ordered) else ()
-    with tqdm(total=len(groups) * config.looks, desc="shares", disable=True if quiet else None) as bar:
+    with tqdm(total=len(groups) * config.looks, desc="shares", disable=None) as bar:
         for some in groups:
             lean = refine_group(draw, some, decoupler, coupling, config, random, bar.update).cpu()
             leans[some[:, 0], some[:, 1]], leans[some[:, 1], some[:, 0]] = lean, -lean

@@ -104,13 +104,9 @@ def test_refined_shares_are_learned_and_kept_with_the_weights(mae, tmp_path, mon
     assert [found["pair"] for found in kept] == [["squat", "wave-both-hands"], ["walk", "wave-both-hands"]]
     assert torch.equal(known_leans(tmp_path / "run" / "last.json", leaning.learned.classes), leaning.leans)
     assert known_leans(tmp_path / "run" / "last.json", ("walk", "drink")) is None
-    for damaged in (
-        '{"leans": [',
-        "[]",
-        '{"leans": null}',
-        '{"leans": [{}]}',
-        '{"leans": [{"pair": ["walk", "walk"]}]}',
-    ):
+    record = json.loads((tmp_path / "run" / "last.json").read_text())
+    lacking = [{**record, "leans": leans} for leans in (None, [{}], [{"pair": ["walk", "walk"]}])]
+    for damaged in ('{"leans": [', "[]", '{"leans": []}', *map(json.dumps, lacking)):
         (tmp_path / "damaged.json").write_text(damaged)
         with pytest.raises(UserError, match="cannot be read|damaged leans"):
             known_leans(tmp_path / "damaged.json", ("walk",))
@@ -262,8 +258,9 @@ def test_a_way_of_looking_that_cannot_be_is_refused(mae, tmp_path):
         train_generator(replace(whole, loss=GeneratorLoss(decoupling_frames=21)))
     with pytest.raises(UserError, match=r"plain silhouettes, and .* reads 6 channels"):
         train_generator(as_variant(replace(whole, variant="dr-paper")))
-    with pytest.raises(UserError, match="is not positive"):
-        SharesConfig(rate=-1.0)
+    for rate in (-1.0, float("nan"), 1e38):
+        with pytest.raises(UserError, match="at most 10"):
+            SharesConfig(rate=rate)
     assert not (tmp_path / "run").exists()
 
 

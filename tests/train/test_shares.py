@@ -47,7 +47,6 @@ def found(store, decoupler, pairs, config=CONFIG, seed=0):
         CouplingConfig(),
         config,
         torch.Generator().manual_seed(seed),
-        quiet=True,
     )
 
 
