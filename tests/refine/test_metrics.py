@@ -61,6 +61,13 @@ def test_a_foot_that_rises_on_the_spot_does_not_skate():
     assert foot_skate(joints, fps=30.0) == 0.0
 
 
+def test_a_foot_that_lands_does_not_skate_on_its_way_down_nor_up():
+    joints = torch.zeros(5, 24, 3)
+    joints[:, FEET[0], 1] = torch.tensor([0.3, 0.0, 0.0, 0.3, 0.3])
+    joints[:, FEET[0], 0] = torch.tensor([0.0, 1.0, 1.0, 2.0, 3.0])  # moves in the air alone
+    assert foot_skate(joints, fps=30.0) == 0.0
+
+
 def test_each_foot_joint_stands_at_its_own_height():
     joints = torch.zeros(4, 24, 3)
     joints[:, JOINTS["left_ankle"], 1] = 0.3

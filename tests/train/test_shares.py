@@ -73,3 +73,15 @@ def test_nothing_leans_that_is_alone_or_held_or_not_looked_at(store, decoupler):
     assert (found(store, decoupler, [(WALK, WAVE)], SharesConfig(looks=0)) == 0).all()
     held = found(store, decoupler, [(WALK, WAVE)], replace(CONFIG, looks=20, stay=1.0))
     assert held.abs().max() < 0.2
+
+
+def test_frames_are_drawn_at_random_and_anew(store, decoupler, monkeypatch):
+    drawn = []
+
+    def look(made, batch, decoupler, count, chances):
+        drawn.append(chances.argmax(1))
+        return made.square().mean()
+
+    monkeypatch.setattr("train.shares.decoupling_term", look)
+    found(store, decoupler, [(WALK, WAVE)], replace(CONFIG, looks=30))
+    assert len({int(frame) for frame in torch.cat(drawn)}) > 8  # of 20
