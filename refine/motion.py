@@ -21,6 +21,8 @@ class Motion:
         fps: frames per second.
         label: the action's name, for example ``"wave-both-hands"``.
         source: where the clip came from, for messages.
+        betas: [B] shape of the body that performed it, as SMPL has it, if that is known.
+        gender: "neutral", "female" or "male".
 
     Raises:
         ShapeError: the two tensors disagree.
@@ -32,6 +34,8 @@ class Motion:
     fps: float
     label: str = ""
     source: str = "motion"
+    betas: Tensor | None = None
+    gender: str = "neutral"
 
     def __post_init__(self):
         sizes = check_shapes("Motion", rotations=(self.rotations, "T 24 3 3"), root=(self.root, "T 3"))

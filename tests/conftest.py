@@ -32,6 +32,14 @@ def generator() -> torch.Generator:
 
 
 @pytest.fixture(scope="session")
+def free_body():
+    """The free body, light."""
+    from renderers.body import Body
+
+    return Body.free("light")
+
+
+@pytest.fixture(scope="session")
 def rest_joints() -> torch.Tensor:
     """[24 3] T-pose joints of the free body, metres."""
     from renderers.body import Body

@@ -68,7 +68,7 @@ class Compose:
         if self.report:  # before the motion, which may be wanted in the very folder that is replaced here
             with replacing_folder(self.report) as partial:
                 write_report(partial, composition, body_of(self.body, "full"))
-        save_motion(composition.motion, self.out, body.rest_joints, force=True)
+        save_motion(composition.motion, self.out, body, force=True)
         print(f"{self.out}  {len(composition.motion)} frames at {composition.motion.fps:g} fps")
         traces = composition.traces().items()
         if traces:

@@ -75,7 +75,7 @@ class Demo:
             extra = {"metres_from_true_composition": error, "seconds": round(time.monotonic() - started, 1)}
             report = write_report(partial, composition, drawn_body, 3, extra)
             save_mp4(partial / "film.mp4", pictures, FILM_FPS)
-            save_motion(composition.motion, partial / "composition.bvh", body.rest_joints)
+            save_motion(composition.motion, partial / "composition.bvh", body)
 
         print(f"{' + '.join(self.actions)}, {frames} frames, {time.monotonic() - started:.0f} s")
         for name in made:

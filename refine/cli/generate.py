@@ -58,7 +58,7 @@ class Generate:
         rows = [[row] for row in strip(motions[:DRAWN], body, height=180)]
         with replacing_folder(self.out) as partial:
             for number, motion in enumerate(motions):
-                save_motion(motion, partial / f"{file_stem(motion.label)}_{number:03d}.bvh", body.rest_joints)
+                save_motion(motion, partial / f"{file_stem(motion.label)}_{number:03d}.bvh", body)
             save_png(partial / "motions.png", contact_sheet(rows, title=" + ".join(self.actions)))
         print(f"{self.out}  {len(motions)} motions of {self.seconds:g} s, drawn in motions.png")
 

@@ -9,7 +9,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
-from refine.formats.files import SUFFIXES, label_from_name, load_motion
+from refine.formats.files import READ_SUFFIXES, label_from_name, load_motion
 from refine.formats.npz import MAX_BYTES, read_npz
 from refine.motion import Motion
 from renderers.checks import ShapeError, UserError, check_shapes
@@ -46,9 +46,12 @@ def import_folder(
     """
     pattern = _pattern(label_pattern)
     folder = Path(folder)
-    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in SUFFIXES)
+    paths = sorted(path for path in folder.rglob("*") if path.suffix.lower() in READ_SUFFIXES)
     if not paths:
-        raise UserError(folder, f"has no files that end in {' or '.join(SUFFIXES)}", "give a folder of motion files")
+        known = " or ".join(READ_SUFFIXES)
+        raise UserError(folder, f"has no files that end in {known}", "give a folder of motion files")
+            folder, f"has no files that end in {' or '.join(READ_SUFFIXES)}", "give a folder of motion files"
+        )
     motions, refused = [], []
     for path in progress(paths):
         try:

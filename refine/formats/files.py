@@ -1,55 +1,90 @@
-"""One motion from any file, and to any file."""
+"""Motions from any file, and to any file."""
 
 import re
-from dataclasses import replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 from torch import Tensor
 
 from refine.formats.amass import read_amass, write_amass
 from refine.formats.bvh import read_bvh, write_bvh
+from refine.formats.untrusted import kind_of
 from refine.motion import Motion
 from refine.retarget import retarget
+from renderers.body import Body
 from renderers.checks import UserError
 from renderers.outputs import refuse_existing
 
-WRITERS = {".bvh": write_bvh, ".npz": lambda path, motion, _rest_joints: write_amass(path, motion)}
-SUFFIXES = tuple(WRITERS)
-KNOWN = f"known are {' and '.join(SUFFIXES)}"
-
-ZIP_MAGIC = b"PK\x03\x04"
 # Bandai-Namco: dataset-2_walk-turn-left_active_001 is action, style, number.
 NAMED_LIKE_BANDAI_NAMCO = re.compile(r"dataset-\d+_(?P<label>[^_]+)_[^_]+_\d+")
 NUMBERED = re.compile(r"(?P<label>.*?)[\s_.-]*\d*")
 
 
-def load_motion(path: str | Path, rest_joints: Tensor) -> Motion:
-    """Read a .bvh of a known skeleton or an AMASS-style .npz onto a body with T-pose joints [24 3] in metres.
+@dataclass(frozen=True)
+class Reading:
+    """What a person may say about a file that the file does not say."""
 
-    What the file holds decides, not what it is called. A file that carries no label is labelled after its name.
+    unit: str | None = None
+    """Unit of length, "m", "cm", "mm" or "in"; none guesses it from the height of the body."""
+    fps: float | None = None
+    """Frame rate, for files that have none."""
+    mapping: Path | None = None
+    """JSON file that says which joint of the file is which of ours, as `refine data inspect` writes it."""
+
+
+def read_one_bvh(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
+    return [retarget(read_bvh(path, reading.unit), rest_joints)]
+
+
+def read_one_amass(path: Path, _rest_joints: Tensor, _reading: Reading) -> list[Motion]:
+    return [read_amass(path)]
+
+
+# By what a file holds, see `kind_of`.
+READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {"bvh": read_one_bvh, "npz": read_one_amass}
+READ_SUFFIXES = (".bvh", ".npz")
+# By suffix.
+WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
+    ".bvh": lambda path, motion, body: write_bvh(path, motion, body.rest_joints),
+    ".npz": lambda path, motion, _body: write_amass(path, motion),
+}
+SUFFIXES = tuple(WRITERS)
+KNOWN = f"known are {' and '.join(SUFFIXES)}"
+
+
+def load_motions(path: str | Path, rest_joints: Tensor, reading: Reading | None = None) -> list[Motion]:
+    """Read every motion of a file onto a body with T-pose joints [24 3] in metres.
+
+    What the file holds decides, not what it is called. A motion that carries no label is labelled after the file's
+    name.
 
     Raises:
         UserError: the file is missing, empty, of another kind or broken; the message says where.
     """
     path = Path(path)
-    try:
-        with path.open("rb") as stream:
-            start = stream.read(64)
-    except OSError as error:
-        raise UserError(path, f"cannot be read ({error.strerror})", "check the path") from error
-    if not start.strip():
-        raise UserError(path, "is empty", "give a motion file")
-    if start.startswith(ZIP_MAGIC):
-        motion = read_amass(path)
-    elif b"HIERARCHY" in start.upper() or path.suffix.lower() == ".bvh":
-        motion = retarget(read_bvh(path), rest_joints)
-    else:
-        raise UserError(path, "is not a motion file", KNOWN)
-    return motion if motion.label else replace(motion, label=label_from_name(path))
+    kind = kind_of(path)
+    if kind not in READERS:
+        raise UserError(path, "is not a motion file", f"known are {' and '.join(READ_SUFFIXES)}")
+    motions = READERS[kind](path, rest_joints, reading or Reading())
+    return [motion if motion.label else replace(motion, label=label_from_name(path)) for motion in motions]
 
 
-def save_motion(motion: Motion, path: str | Path, rest_joints: Tensor, force: bool = False) -> None:
-    """Write a motion in the format of the suffix, on a skeleton with T-pose joints [24 3] in metres; folders are made.
+def load_motion(path: str | Path, rest_joints: Tensor, reading: Reading | None = None) -> Motion:
+    """The one motion of a file, see :func:`load_motions`.
+
+    Raises:
+        UserError: the same, or the file holds several.
+    """
+    motions = load_motions(path, rest_joints, reading)
+    if len(motions) > 1:
+        names = ", ".join(motion.label for motion in motions[:4])
+        raise UserError(path, f"holds {len(motions)} motions ({names}...)", "pack them with `refine data import`")
+    return motions[0]
+
+
+def save_motion(motion: Motion, path: str | Path, body: Body, force: bool = False) -> None:
+    """Write a motion of a body in the format of the suffix; folders are made.
 
     Raises:
         UserError: the suffix is not known, the file exists and ``force`` is not set, or it cannot be written.
@@ -57,7 +92,7 @@ def save_motion(motion: Motion, path: str | Path, rest_joints: Tensor, force: bo
     path = Path(path)
     check_suffix(path)
     refuse_existing(path, force)
-    WRITERS[path.suffix.lower()](path, motion, rest_joints)
+    WRITERS[path.suffix.lower()](path, motion, body)
 
 
 def check_suffix(path: str | Path) -> None:

@@ -239,9 +239,9 @@ def test_what_does_not_fit_is_one_line(tmp_path, monkeypatch, rest_joints, argum
     assert said in str(caught.value) and "\n" not in str(caught.value)
 
 
-def test_a_file_that_cannot_be_read_is_told(tmp_path, rest_joints):
+def test_a_file_that_cannot_be_read_is_told(tmp_path, rest_joints, free_body):
     (tmp_path / "broken_1.bvh").write_text("HIERARCHY\nROOT")
-    save_motion(clip("walk", "w", 3), tmp_path / "fine_1.bvh", rest_joints)
+    save_motion(clip("walk", "w", 3), tmp_path / "fine_1.bvh", free_body)
     told = []
     with pytest.raises(UserError, match="has no clips of Bandai-Namco's data set 2"):
         material_of("bn-c", rest_joints, tmp_path, refused=told.append)

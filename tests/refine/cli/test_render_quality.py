@@ -137,7 +137,7 @@ def test_a_strip_in_the_studio_stands_where_the_other_does(body):
 @pytest.fixture(scope="module")
 def slide(tmp_path_factory, body) -> str:
     path = tmp_path_factory.mktemp("clips") / "slide.bvh"
-    save_motion(sliding(body, 4.0), path, body.rest_joints)
+    save_motion(sliding(body, 4.0), path, body)
     return str(path)
 
 

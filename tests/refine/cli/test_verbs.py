@@ -27,14 +27,14 @@ def rest_joints() -> torch.Tensor:
 
 
 @pytest.fixture(scope="module")
-def clips(tmp_path_factory, rest_joints) -> Path:
+def clips(tmp_path_factory, rest_joints, free_body) -> Path:
     """A folder with a walk of 12 frames and a wave of 9, both at 30 fps, and the walk at 15 fps."""
     folder = tmp_path_factory.mktemp("clips")
     for name, frames in (("walk", 12), ("wave-left-hand", 9)):
         motion = perform(draw(name, torch.Generator().manual_seed(3), 30.0), frames, rest_joints)
-        save_motion(motion, folder / f"{name}.bvh", rest_joints)
+        save_motion(motion, folder / f"{name}.bvh", free_body)
         if name == "walk":
-            save_motion(resample(motion, 15.0), folder / "slow.bvh", rest_joints)
+            save_motion(resample(motion, 15.0), folder / "slow.bvh", free_body)
     return folder
 
 

@@ -27,11 +27,11 @@ def clips(generator) -> list[Motion]:
 
 
 @pytest.fixture
-def folder(tmp_path, clips, rest_joints):
+def folder(tmp_path, clips, free_body):
     """Two good clips, one of them in a folder of its own, a broken one, and a file that is no motion."""
     folder = tmp_path / "in"
-    save_motion(clips[0], folder / "deep" / "dataset-2_walk_active_001.bvh", rest_joints)
-    save_motion(clips[2], folder / "kick_07.npz", rest_joints)
+    save_motion(clips[0], folder / "deep" / "dataset-2_walk_active_001.bvh", free_body)
+    save_motion(clips[2], folder / "kick_07.npz", free_body)
     (folder / "broken_01.bvh").write_text("HIERARCHY\nROOT a\n{\n")
     (folder / "notes.txt").write_text("hello")
     return folder
@@ -79,8 +79,8 @@ def test_more_than_can_be_read_back_is_not_written(tmp_path, clips, monkeypatch)
     assert not list(tmp_path.iterdir())
 
 
-def test_another_npz_is_refused(tmp_path, clips, rest_joints):
-    save_motion(clips[0], tmp_path / "one.npz", rest_joints)
+def test_another_npz_is_refused(tmp_path, clips, free_body):
+    save_motion(clips[0], tmp_path / "one.npz", free_body)
     with pytest.raises(UserError, match=r"one.npz: is not a file of clips .*'refine data import'"):
         load_clips(tmp_path / "one.npz")
 

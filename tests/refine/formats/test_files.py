@@ -18,9 +18,9 @@ def motion(generator) -> Motion:
 
 
 @pytest.mark.parametrize("suffix", [".bvh", ".npz", ".BVH"])
-def test_there_and_back(tmp_path, motion, suffix, rest_joints):
+def test_there_and_back(tmp_path, motion, suffix, rest_joints, free_body):
     path = tmp_path / "new" / "folder" / f"walk_01{suffix}"
-    save_motion(motion, path, rest_joints)
+    save_motion(motion, path, free_body)
     back = load_motion(path, rest_joints)
     assert (back.fps, back.label, back.source) == (30.0, "walk", str(path))
     torch.testing.assert_close(back.rotations, motion.rotations, atol=1e-5, rtol=0)
@@ -28,33 +28,33 @@ def test_there_and_back(tmp_path, motion, suffix, rest_joints):
     assert [file.name for file in path.parent.iterdir()] == [path.name]
 
 
-def test_what_a_file_holds_decides(tmp_path, motion, rest_joints):
-    save_motion(motion, tmp_path / "a.bvh", rest_joints)
-    save_motion(motion, tmp_path / "b.npz", rest_joints)
+def test_what_a_file_holds_decides(tmp_path, motion, rest_joints, free_body):
+    save_motion(motion, tmp_path / "a.bvh", free_body)
+    save_motion(motion, tmp_path / "b.npz", free_body)
     (tmp_path / "a.bvh").rename(tmp_path / "a.npz")
     (tmp_path / "b.npz").rename(tmp_path / "b.txt")
     for name in ("a.npz", "b.txt"):
         torch.testing.assert_close(load_motion(tmp_path / name, rest_joints).root, motion.root, atol=1e-5, rtol=0)
 
 
-def test_one_frame_is_read(tmp_path, motion, rest_joints):
+def test_one_frame_is_read(tmp_path, motion, rest_joints, free_body):
     one = Motion(motion.rotations[:1], motion.root[:1], 30.0)
     for name in ("a.bvh", "a.npz"):
-        save_motion(one, tmp_path / name, rest_joints)
+        save_motion(one, tmp_path / name, free_body)
         assert len(load_motion(tmp_path / name, rest_joints)) == 1
 
 
-def test_an_existing_file_is_kept_without_force(tmp_path, motion, rest_joints):
+def test_an_existing_file_is_kept_without_force(tmp_path, motion, free_body):
     path = tmp_path / "a.bvh"
     path.write_text("precious")
     with pytest.raises(UserError, match=r"a.bvh: is already there; .*--force"):
-        save_motion(motion, path, rest_joints)
+        save_motion(motion, path, free_body)
     assert path.read_text() == "precious"
-    save_motion(motion, path, rest_joints, force=True)
+    save_motion(motion, path, free_body, force=True)
     assert path.read_text().startswith("HIERARCHY")
 
 
-def test_a_write_that_fails_leaves_the_old_file(tmp_path, motion, monkeypatch, rest_joints):
+def test_a_write_that_fails_leaves_the_old_file(tmp_path, motion, monkeypatch, free_body):
     path = tmp_path / "a.npz"
     path.write_text("precious")
 
@@ -64,14 +64,14 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path, motion, monkeypatch, r
 
     monkeypatch.setattr("numpy.savez_compressed", full_disk)
     with pytest.raises(UserError, match=r"a.npz: cannot be written \(No space left on device\)"):
-        save_motion(motion, path, rest_joints, force=True)
+        save_motion(motion, path, free_body, force=True)
     assert path.read_text() == "precious" and len(list(tmp_path.iterdir())) == 1
 
 
-def test_an_unknown_suffix_lists_the_known_ones(tmp_path, motion, rest_joints):
+def test_an_unknown_suffix_lists_the_known_ones(tmp_path, motion, free_body):
     message = re.escape("a.fbx: no motion format has the suffix '.fbx'; known are .bvh and .npz")
     with pytest.raises(UserError, match=message):
-        save_motion(motion, tmp_path / "a.fbx", rest_joints)
+        save_motion(motion, tmp_path / "a.fbx", free_body)
     with pytest.raises(UserError, match=message):
         check_suffix("a.fbx")
     assert not list(tmp_path.iterdir())
