@@ -50,8 +50,6 @@ def import_folder(
     if not paths:
         known = " or ".join(READ_SUFFIXES)
         raise UserError(folder, f"has no files that end in {known}", "give a folder of motion files")
-            folder, f"has no files that end in {' or '.join(READ_SUFFIXES)}", "give a folder of motion files"
-        )
     motions, refused = [], []
     for path in progress(paths):
         try:
