@@ -74,6 +74,11 @@ class Body(nn.Module):
     def rest_vertices(self) -> Tensor:
         return self._smpl.v_template
 
+    @property
+    def weights(self) -> Tensor:
+        """[V 24] skinning weights, rows sum to 1."""
+        return self._smpl.lbs_weights
+
     def forward(self, rotations: Tensor, root: Tensor, shape: Tensor | None = None) -> Posed:
         """Pose the body.
 

@@ -2,7 +2,8 @@
 
 Matrices act on column vectors (``R @ v``). Axis-angle is in radians. 6D is the **first two rows** of the matrix,
 flattened row-major, as ACTOR, TEMOS and SINC use it; HumanML3D's is the first two columns, so files of the two
-families must never be mixed. Quaternions stay inside this file.
+families must never be mixed. Quaternions are (w, x, y, z) and of unit length; files of another order turn it
+at their edge.
 """
 
 import torch
@@ -44,6 +45,30 @@ def matrix_from_6d(six: Tensor) -> Tensor:
     second = six[..., 3:] - (first * six[..., 3:]).sum(-1, keepdim=True) * first
     second = torch.nn.functional.normalize(second, dim=-1)
     return torch.stack([first, second, torch.linalg.cross(first, second)], dim=-2)
+
+
+def matrix_to_quaternion(matrix: Tensor) -> Tensor:
+    """[... 3 3] -> [... 4] unit quaternions (w, x, y, z); of the two that there are, either."""
+    from kornia.geometry.conversions import rotation_matrix_to_quaternion
+
+    check_shapes("matrix_to_quaternion", matrix=(matrix, "... 3 3"))
+    quaternion = rotation_matrix_to_quaternion(matrix.reshape(-1, 3, 3)).reshape(*matrix.shape[:-2], 4)
+    return torch.nn.functional.normalize(quaternion, dim=-1)
+
+
+def quaternion_to_matrix(quaternion: Tensor) -> Tensor:
+    """[... 4] (w, x, y, z) of any length but zero -> [... 3 3]."""
+    from kornia.geometry.conversions import quaternion_to_rotation_matrix
+
+    check_shapes("quaternion_to_matrix", quaternion=(quaternion, "... 4"))
+    return quaternion_to_rotation_matrix(quaternion.reshape(-1, 4)).reshape(*quaternion.shape[:-1], 3, 3)
+
+
+def continuous(quaternions: Tensor) -> Tensor:
+    """[T ... 4] the same rotations, each quaternion on the side of the one before: no sign flips along the time."""
+    flips = (quaternions[1:] * quaternions[:-1]).sum(dim=-1, keepdim=True) < 0
+    signs = torch.cat([flips.new_zeros(1, *flips.shape[1:]), flips]).cumsum(dim=0) % 2
+    return quaternions * (1 - 2 * signs)
 
 
 def rotation_angle(matrix: Tensor) -> Tensor:

@@ -9,12 +9,15 @@ import torch
 from renderers.checks import ShapeError
 from renderers.rotations import (
     axis_angle_to_matrix,
+    continuous,
     euler_to_matrix,
     heading,
     matrix_from_6d,
     matrix_to_6d,
     matrix_to_axis_angle,
     matrix_to_euler,
+    matrix_to_quaternion,
+    quaternion_to_matrix,
     rotation_about,
     rotation_angle,
     slerp,
@@ -116,3 +119,27 @@ def test_slerp_goes_half_way_at_half():
 def test_shapes_are_checked():
     with pytest.raises(ShapeError, match=r"matrix_to_6d\(matrix\): expected shape \[\.\.\. 3 3\], got \[3, 6\]"):
         matrix_to_6d(torch.zeros(3, 6))
+
+
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1.0, math.pi])
+def test_quaternions_put_the_cosine_of_half_the_angle_first(angle):
+    axis = torch.nn.functional.normalize(torch.tensor([-0.3, 0.5, 0.8], dtype=torch.float64), dim=0)
+    expected = torch.cat([torch.tensor([math.cos(angle / 2)], dtype=torch.float64), math.sin(angle / 2) * axis])
+    quaternion = matrix_to_quaternion(axis_angle_to_matrix(angle * axis))
+    assert (quaternion @ expected).abs() > 1 - 1e-12
+    torch.testing.assert_close(quaternion_to_matrix(3 * expected), axis_angle_to_matrix(angle * axis))
+
+
+def test_quaternion_round_trip(generator):
+    matrix = random_rotations(generator, 20, 5)
+    torch.testing.assert_close(quaternion_to_matrix(matrix_to_quaternion(matrix)), matrix, atol=1e-12, rtol=0)
+
+
+def test_continuous_quaternions_do_not_flip(generator):
+    """Two turns about an axis, in steps: the quaternion goes once round, and signs drawn at random are undone."""
+    half = torch.linspace(0, 2 * math.pi, 50, dtype=torch.float64)
+    true = torch.stack([half.cos(), half.sin(), 0 * half, 0 * half], dim=-1)[:, None].repeat(1, 3, 1)
+    signs = torch.randint(0, 2, (50, 3, 1), generator=generator) * 2 - 1
+    signs[0] = 1
+    torch.testing.assert_close(continuous(true * signs), true)
+    assert continuous(true[:1]).shape == (1, 3, 4)
