@@ -59,7 +59,7 @@ def shade(
     light = light or Light()
     vertices, faces, colours = vertices.detach().cpu().float(), faces.cpu(), colours.cpu().float()
     camera = camera.to("cpu", torch.float32)
-    normals = _vertex_normals(vertices, faces)
+    normals = vertex_normals(vertices, faces)
     depth = (vertices @ camera.rotation.mT + camera.translation[:, None])[..., 2]
     points = camera.project(vertices) * FINER
     fine = (camera.size[0] * FINER, camera.size[1] * FINER)
@@ -89,7 +89,7 @@ def _lit(albedo: Tensor, normal: Tensor, light: Light) -> Tensor:
     return (albedo * strength[:, None] + rim[:, None]).clamp(0, 1)
 
 
-def _vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
+def vertex_normals(vertices: Tensor, faces: Tensor) -> Tensor:
     """Unit normals [N V 3], faces weighted by their area."""
     corner = vertices[:, faces]
     face_normals = torch.linalg.cross(corner[:, :, 1] - corner[:, :, 0], corner[:, :, 2] - corner[:, :, 0])

@@ -9,6 +9,7 @@ from torch import Tensor
 
 from refine.formats.amass import read_amass, write_amass
 from refine.formats.bvh import read_bvh, write_bvh
+from refine.formats.glb import write_glb
 from refine.formats.untrusted import kind_of
 from refine.motion import Motion
 from refine.retarget import retarget
@@ -48,6 +49,7 @@ READ_SUFFIXES = (".bvh", ".npz")
 WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
     ".bvh": lambda path, motion, body: write_bvh(path, motion, body.rest_joints),
     ".npz": lambda path, motion, _body: write_amass(path, motion),
+    ".glb": write_glb,
 }
 SUFFIXES = tuple(WRITERS)
 KNOWN = f"known are {' and '.join(SUFFIXES)}"
