@@ -10,6 +10,7 @@ from torch import Tensor
 from refine.formats.amass import read_amass, write_amass
 from refine.formats.bvh import read_bvh, write_bvh
 from refine.formats.glb import write_glb
+from refine.formats.glb_read import read_glb
 from refine.formats.untrusted import kind_of
 from refine.motion import Motion
 from refine.retarget import retarget
@@ -42,9 +43,18 @@ def read_one_amass(path: Path, _rest_joints: Tensor, _reading: Reading) -> list[
     return [read_amass(path)]
 
 
+def read_one_glb(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
+    return read_glb(path, rest_joints, reading.fps)
+
+
 # By what a file holds, see `kind_of`.
-READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {"bvh": read_one_bvh, "npz": read_one_amass}
-READ_SUFFIXES = (".bvh", ".npz")
+READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {
+    "bvh": read_one_bvh,
+    "npz": read_one_amass,
+    "glb": read_one_glb,
+    "gltf": read_one_glb,
+}
+READ_SUFFIXES = (".bvh", ".npz", ".glb", ".gltf")
 # By suffix.
 WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
     ".bvh": lambda path, motion, body: write_bvh(path, motion, body.rest_joints),

@@ -160,7 +160,7 @@ def _skin(rest: Tensor, binary: _Binary) -> dict:
     inverse[:, :3, 3] = -rest.float()
     by_columns = inverse.mT.reshape(len(rest), 16).numpy()
     joints = list(range(len(rest)))
-    return {"name": "body", "skeleton": 0, "joints": joints, "inverseBindMatrices": binary.add(by_columns)}
+    return {"name": "skeleton", "skeleton": 0, "joints": joints, "inverseBindMatrices": binary.add(by_columns)}
 
 
 def _takes(motions: Sequence[Motion]) -> list[str]:
