@@ -7,47 +7,16 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Any
 
-import torch
 from torch import Tensor
 
 from refine.composition import Composition
 from refine.decoupling import Trace
 from refine.drawing import strip
-from refine.seeing import COLOURED
+from refine.stages import stage_sheets
 from renderers.body import Body
-from renderers.images import (
-    chart,
-    contact_sheet,
-    difference_picture,
-    enlarged,
-    heat_map,
-    kept_patches,
-    part_picture,
-    save_png,
-    with_joints,
-)
-from renderers.skeleton import DRAWN_PART_NAMES, PARTS
+from renderers.images import chart, contact_sheet, save_png
+from renderers.skeleton import PARTS
 
-STAGES = (
-    "sub-action",
-    "composition",
-    "energies",
-    "attention",
-    "kept patches",
-    "inpainted",
-    "difference",
-    "what counts of it",
-)
-NOTES = (
-    "All bodies: one camera, one scale, place and heading taken out. Left arm red, right arm green, left leg {leg}, "
-    "right leg blue.",
-    "Energies: the larger and darker, the more the part moves, relative to this action's busiest. "
-    "Attention: the darker, the more a pixel belongs to the action; each picture has its own scale.",
-    "Kept patches: what the inpainting network sees, without the parts that are the other action's; hatched is hidden. "
-    "Inpainted: those patches of the composition, the rest completed.",
-    "Difference: red where inpainted has more, blue where the sub-action has more. "
-    "What counts: the difference in the parts that this action answers for; its square is the loss.",
-)
 UNIT = "mean squared joint step relative to the pelvis, m² per frame²"
 INTRODUCTION = (
     "Two actions were put into one motion. Below, each row is one motion, from its first frame to its last: the two "
@@ -111,56 +80,6 @@ def losses(trace: Trace) -> dict[str, float]:
     return {"total": of_i + of_j, "i": of_i, "j": of_j}
 
 
-def stage_sheet(trace: Trace, index: int, names: tuple[str, str], title: str = "", side: int = 192) -> Tensor:
-    """Every stage of the loss for picture ``index`` of a trace: one row a sub-action, one column a stage [3 H W].
-
-    Args:
-        side: pixels of each picture; the loop's own are enlarged by a whole number.
-    """
-    composed = trace.composed.pictures[index]
-    factor = max(1, side // composed.shape[-1])
-    whole = enlarged(visible(composed), factor)
-    rows, captions = [], []
-    for name, reference, answer in zip(names, trace.references, trace.sides, strict=True):
-        answers, shown = (value[index].cpu() for value in reference.owned)
-        own, inpainted = reference.seen.pictures[index], answer.inpainted[index].clamp(0, 1)
-        own_picture = enlarged(visible(own), factor)
-        weigh = answers.sqrt()[:, None, None].to(own)
-        patches = round(answer.kept.shape[1] ** 0.5)
-        rows.append(
-            [
-                own_picture,
-                whole,
-                with_joints(own_picture, reference.seen.joints_px[index], reference.energies[index], factor),
-                heat_map(whole, answer.attention[index].sqrt()),
-                kept_patches(
-                    enlarged(visible(composed.cpu() * shown[:, None, None]), factor),
-                    answer.kept[index].reshape(patches, patches),
-                ),
-                enlarged(visible(inpainted), factor),
-                enlarged(difference_picture(inpainted, own), factor),
-                enlarged(difference_picture(*(picture * weigh for picture in (inpainted, own))), factor),
-            ]
-        )
-        captions.append(f"{name}: loss {float(answer.loss[index]):.6f}{answers_for(answers)}")
-    leg = "purple" if len(composed) == COLOURED else "orange"
-    return contact_sheet(rows, captions, STAGES, title, notes=[NOTES[0].format(leg=leg), *NOTES[1:]])
-
-
-def visible(picture: Tensor) -> Tensor:
-    """A picture of the loop [C H W] as one for people [3 H W]; one in colours is that already."""
-    return picture if len(picture) == COLOURED else part_picture(picture)
-
-
-def answers_for(answers: Tensor) -> str:
-    """In words, the share of each drawn part [C] that an action answers for; nothing where parts have no channels."""
-    if len(answers) != len(DRAWN_PART_NAMES):
-        return ""
-    shares = zip(DRAWN_PART_NAMES, answers.tolist(), strict=True)
-    named = [f"{name.replace('_', ' ')} {share:.0%}" for name, share in shares if share >= 0.05]
-    return f", answers for {', '.join(named) or 'no part'}"
-
-
 def write_report(
     folder: Path, composition: Composition, body: Body, frames: int = 4, extra: dict | None = None
 ) -> dict[str, Any]:
@@ -184,20 +103,6 @@ def write_report(
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
     (folder / "report.html").write_text(page(report, folder, list(pictures)))
     return report
-
-
-def stage_sheets(composition: Composition, frames: int) -> dict[str, Tensor]:
-    """``stage_sheet`` of evenly spread frames in the first view, of every motion, by file name."""
-    names = (composition.i.label or "i", composition.j.label or "j")
-    length, fps = len(composition.motion), composition.motion.fps
-    shown = torch.linspace(0, length - 1, min(frames, length)).round().long().tolist()
-    sheets = {}
-    for frame in shown:
-        for made, trace in composition.traces().items():
-            index = frame * len(trace.composed.pictures) // length
-            title = f"{made} motion at {frame / fps:.2f} s, first view"
-            sheets[f"stages-{frame:04d}-{made}"] = stage_sheet(trace, index, names, title)
-    return sheets
 
 
 def motions_sheet(composition: Composition, body: Body, poses: int = 8, height: int = 240) -> Tensor:

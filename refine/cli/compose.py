@@ -45,7 +45,8 @@ class Compose:
         from refine.composition import Composition, compose
         from refine.coupling import couple
         from refine.formats.files import check_suffix, save_motion
-        from refine.report import answers_for, losses, write_report
+        from refine.report import losses, write_report
+        from refine.stages import answers_for
         from renderers.outputs import refuse_existing, replacing_folder
 
         check_suffix(self.out)

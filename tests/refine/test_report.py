@@ -11,7 +11,8 @@ from refine.energies import energy_signal, part_energies
 from refine.mae import MAE, MAEConfig
 from refine.ownership import Owned
 from refine.refinement import RefinementConfig
-from refine.report import STAGES, answers_for, losses, measure, stage_sheet, stage_sheets, write_report
+from refine.report import losses, measure, write_report
+from refine.stages import STAGES, answers_for, stage_sheet, stage_sheets
 from refine.synthetic import draw, perform
 from renderers.body import Body
 from renderers.images import enlarged, part_picture

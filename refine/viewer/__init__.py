@@ -1,0 +1,1 @@
+"""Motions on one page that opens from disk, without a network: see ``refine.viewer.page``."""
