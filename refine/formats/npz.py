@@ -1,22 +1,39 @@
-"""Reading .npz files of unknown origin: sizes are checked before memory is taken, and nothing is ever unpickled."""
+"""Reading .npz and .npy files of unknown origin: sizes are checked before memory is taken, and nothing is unpickled.
+
+A header is read as a pattern of words, not as the Python expression that it looks like.
+"""
 
 import math
+import os
+import re
+import struct
 import zipfile
 import zlib
 from pathlib import Path
-from typing import IO
+from typing import BinaryIO
 
 import numpy as np
-from numpy.lib import format as npy
 
+from refine.formats.untrusted import MAX_ARRAYS, opened
 from renderers.checks import UserError
 
-MAX_BYTES = 1 << 30
 REMEDY = "give an intact .npz file"
+MAX_BYTES = MAX_ARRAYS
+MAX_MEMBERS = 1024
+MAX_DIRECTORY = 1 << 18  # bytes of the list of members
+# Motion packs to a half or a tenth, and zeros to a thousandth: what unpacks to much must be much.
+MAX_RATIO = 100
+SMALL = 1 << 26  # bytes that any archive may unpack to
+MAX_HEADER = 10_000
+MAX_AXES = 32
+CHUNK = 1 << 20
+END = struct.Struct("<4s4H2LH")  # of an archive, without a comment
+ITEM = re.compile(r" ?'(\w+)' ?: ?('[^']*'|True|False|\([-\dL, ]*\)|\[[^]]*\]) ?(?:,|$)")
+NUMBERS = re.compile(r"[<>|=]?[biufSU]\d{1,9}|[?]")  # the types that are read
 
 
 def read_npz(
-    path: str | Path, keys: tuple[str, ...] | None = None, max_bytes: int = MAX_BYTES
+    path: str | Path, keys: tuple[str, ...] | None = None, max_bytes: int = MAX_ARRAYS
 ) -> dict[str, np.ndarray]:
     """Read the arrays of an .npz file.
 
@@ -25,43 +42,152 @@ def read_npz(
         max_bytes: limit on the unpacked size of what is read.
 
     Raises:
-        UserError: the file is missing, damaged or not .npz, holds Python objects, or claims more than ``max_bytes``.
+        UserError: the file is missing, damaged or not .npz, holds Python objects, or claims more than ``max_bytes`` or
+            a hundred times its own size.
     """
-    try:
-        with zipfile.ZipFile(path) as packed:
-            members = {
-                info.filename.removesuffix(".npy"): info
-                for info in packed.infolist()
-                if info.filename.endswith(".npy") and (keys is None or info.filename.removesuffix(".npy") in keys)
-            }
-            size = sum(info.file_size for info in members.values())
-            if size > max_bytes:
-                raise UserError(path, f"unpacks to {size} bytes, more than the {max_bytes} allowed", "split the file")
-            arrays = {}
-            for name, info in members.items():
-                with packed.open(info) as stream:
-                    arrays[name] = _read_array(f"{path}, array '{name}'", stream, info.file_size)
-            return arrays
-    except FileNotFoundError as error:
-        raise UserError(path, "does not exist", "check the path") from error
-    except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, zlib.error) as error:
-        raise UserError(path, f"is damaged or not an .npz file ({error})", REMEDY) from error
+    with opened(path, max_bytes) as stream:
+        try:
+            size = _check_end(path, stream)
+            with zipfile.ZipFile(stream) as packed:
+                members = _members(path, packed, keys)
+                _check_sizes(path, list(members.values()), size, max_bytes)
+                arrays = {}
+                for name, info in members.items():
+                    with packed.open(info) as member:
+                        arrays[name] = read_array(f"{path}, array '{name}'", member, info.file_size)
+                return arrays
+        except (zipfile.BadZipFile, NotImplementedError, RuntimeError, OSError, EOFError, zlib.error) as error:
+            raise UserError(path, f"is damaged or not an .npz file ({error})", REMEDY) from error
+        except (ValueError, struct.error, MemoryError) as error:  # a name that is no text, a field that is cut short
+            raise UserError(path, "is damaged or not an .npz file", REMEDY) from error
 
 
-def _read_array(where: str, stream: IO[bytes], size: int) -> np.ndarray:
-    """One .npy member whose header must account for exactly ``size`` bytes."""
-    try:
-        version = npy.read_magic(stream)
-        read_header = {(1, 0): npy.read_array_header_1_0, (2, 0): npy.read_array_header_2_0}[version]
-        shape, fortran_order, dtype = read_header(stream)
-    except (ValueError, KeyError) as error:
-        raise UserError(where, "is not a NumPy array", REMEDY) from error
-    if dtype.hasobject:
+def read_npy(path: str | Path, max_bytes: int = MAX_ARRAYS) -> np.ndarray:
+    """Read the array of an .npy file.
+
+    Raises:
+        UserError: the file is missing, damaged or not .npy, holds Python objects, or is larger than ``max_bytes``.
+    """
+    with opened(path, max_bytes) as stream:
+        try:
+            return read_array(path, stream, os.fstat(stream.fileno()).st_size)
+        except OSError as error:
+            raise UserError(path, f"cannot be read ({error.strerror})", "check the disk") from error
+
+
+def read_array(where: str | Path, stream: BinaryIO, size: int) -> np.ndarray:
+    """The array of an .npy stream whose header must account for exactly ``size`` bytes.
+
+    Raises:
+        UserError: the header is no header of NumPy's, names another type than numbers and text, or claims another size.
+    """
+    remedy = "write it with numpy.save or numpy.savez"
+    header, start = _header(stream)
+    found = dict(ITEM.findall(header[1:-1]))
+    whole = header[:1] == "{" and header[-1:] == "}" and not ITEM.sub("", header[1:-1]).strip()
+    if not whole or found.keys() != {"descr", "fortran_order", "shape"} or found["shape"][0] != "(":
+        raise UserError(where, "is not a NumPy array", remedy)
+    code, lengths = found["descr"].strip("'"), re.findall(r"-?\d+", found["shape"])
+    if "O" in code:
         raise UserError(where, "holds Python objects, which are never loaded", "save it as numbers or text")
-    expected = math.prod(shape) * dtype.itemsize
-    if min(shape, default=0) < 0 or expected != size - stream.tell():
-        raise UserError(where, f"claims shape {list(shape)} of {dtype}, which is not what it holds", REMEDY)
-    data = stream.read(expected)
-    if len(data) != expected:
-        raise UserError(where, f"holds {len(data)} of {expected} bytes", REMEDY)
-    return np.frombuffer(data, dtype=dtype).reshape(shape, order="F" if fortran_order else "C").copy()
+    if not NUMBERS.fullmatch(code):
+        raise UserError(where, f"holds {code[:40]}, neither numbers nor text", "save it as numbers or text")
+    try:
+        kind = np.dtype(code)
+    except TypeError as error:
+        raise UserError(where, f"is of a type that NumPy does not know ({code})", remedy) from error
+    claim = f"claims shape [{', '.join(lengths)[:60]}] of {kind}, which is not what it holds"
+    if len(lengths) > MAX_AXES or any(len(length) > 15 or int(length) < 0 for length in lengths):
+        raise UserError(where, claim, remedy)
+    shape = tuple(map(int, lengths))
+    expected = math.prod(shape) * kind.itemsize
+    # Empty arrays might have axes of any length, which whoever walks along them would feel.
+    vast = math.prod(max(1, length) for length in shape) * max(1, kind.itemsize) > max(size, CHUNK)
+    if vast or expected != size - start:
+        raise UserError(where, claim, remedy)
+    fortran = found["fortran_order"] == "True"
+    flat = np.empty(math.prod(shape), kind)
+    taken = _fill(stream, flat)
+    if taken != expected:
+        raise UserError(where, f"holds {taken} of {expected} bytes", remedy)
+    if kind.kind == "U" and not is_text(flat):
+        raise UserError(where, "holds text that is no Unicode", remedy)
+    return flat.reshape(shape, order="F" if fortran else "C")
+
+
+def is_text(array: np.ndarray) -> bool:
+    """Whether an array of type U holds characters alone: other numbers break whatever prints or converts them."""
+    if array.nbytes == 0:
+        return True
+    codes = np.ascontiguousarray(array).reshape(-1).view(array.dtype.byteorder.replace("|", "=") + "u4")
+    return bool(codes.max() <= 0x10FFFF and not ((codes >= 0xD800) & (codes <= 0xDFFF)).any())
+
+
+def _header(stream: BinaryIO) -> tuple[str, int]:
+    """The header's text, "" if it is none, and how many bytes stand before the data."""
+    width = {b"\x93NUMPY\x01\x00": 2, b"\x93NUMPY\x02\x00": 4, b"\x93NUMPY\x03\x00": 4}.get(stream.read(8), 0)
+    length = int.from_bytes(stream.read(width), "little")
+    if not width or length > MAX_HEADER:
+        return "", 0
+    return " ".join(stream.read(length).decode("latin1").split()), 8 + width + length
+
+
+def _fill(stream: BinaryIO, flat: np.ndarray) -> int:
+    """Read the bytes of an array with one axis; returns how many there were."""
+    place, taken = memoryview(flat.view(np.uint8)) if flat.nbytes else b"", 0
+    while taken < len(place):
+        chunk = stream.read(min(CHUNK, len(place) - taken))
+        if not chunk:
+            break
+        place[taken : taken + len(chunk)] = chunk
+        taken += len(chunk)
+    return taken
+
+
+def _check_end(path: str | Path, stream: BinaryIO) -> int:
+    """Check the record that ends an archive, before a list of members as long as it claims is read; returns the size
+    of the file."""
+    size = stream.seek(0, os.SEEK_END)
+    stream.seek(max(0, size - END.size - 20))
+    tail = stream.read()
+    if len(tail) < END.size:
+        raise UserError(path, "is damaged or not an .npz file (it is cut short)", REMEDY)
+    magic, disk, _, here, count, length, _, comment = END.unpack(tail[-END.size :])
+    if magic != b"PK\x05\x06" or disk or here != count or comment:
+        raise UserError(path, "is damaged or not an .npz file (it does not end as one)", REMEDY)
+    if count > MAX_MEMBERS or length > MAX_DIRECTORY or tail.startswith(b"PK\x06\x07"):
+        raise UserError(path, f"holds more than {MAX_MEMBERS} arrays or names too long", "split the file")
+    return size
+
+
+def _members(path: str | Path, packed: zipfile.ZipFile, keys: tuple[str, ...] | None) -> dict[str, zipfile.ZipInfo]:
+    """The arrays by name, those of ``keys`` if any are given."""
+    members = {}
+    for info in packed.infolist():
+        name = info.filename.removesuffix(".npy")
+        if info.filename.startswith(("/", "\\")) or ".." in re.split(r"[/\\]", info.filename):
+            raise UserError(path, f"holds a file named {info.filename[:60]!r}, outside of its own folder", REMEDY)
+        if not info.filename.endswith(".npy") or (keys is not None and name not in keys):
+            continue
+        if name in members:
+            raise UserError(path, f"holds two arrays named {name[:60]!r}", REMEDY)
+        if info.flag_bits & 1:
+            raise UserError(path, "is encrypted", "write it without a password")
+        if info.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
+            raise UserError(path, "is packed in another way than by NumPy", "write it with numpy.savez_compressed")
+        members[name] = info
+    return members
+
+
+def _check_sizes(path: str | Path, members: list[zipfile.ZipInfo], size: int, max_bytes: int) -> None:
+    """Refuse members that share bytes, reach out of the file or unpack to too much."""
+    end = 0
+    for info in sorted(members, key=lambda info: info.header_offset):
+        if info.header_offset < end or info.header_offset + info.compress_size > size:
+            raise UserError(path, "is damaged or not an .npz file (its arrays overlap)", REMEDY)
+        end = info.header_offset + info.compress_size
+    unpacked = sum(info.file_size for info in members)
+    if unpacked > max_bytes:
+        raise UserError(path, f"unpacks to {unpacked} bytes, more than the {max_bytes} allowed", "split the file")
+    if unpacked > max(SMALL, MAX_RATIO * size):
+        raise UserError(path, f"has {size} bytes and unpacks to {unpacked}, as no motion does", REMEDY)

@@ -86,10 +86,10 @@ def test_damage_is_one_line(tmp_path):
     np.savez(tmp_path / "a.npz", x=np.arange(1000.0))
     whole = (tmp_path / "a.npz").read_bytes()
     flipped = whole[:500] + bytes([whole[500] ^ 255]) + whole[501:]
-    for content in (b"", b"PK\x03\x04", whole[:900], flipped):
+    for content in (b"PK\x03\x04", whole[:900], flipped):
         (tmp_path / "b.npz").write_bytes(content)
         with pytest.raises(UserError, match=r"b.npz: is damaged or not an .npz file") as caught:
             read_npz(tmp_path / "b.npz")
         assert "\n" not in str(caught.value)
-    with pytest.raises(UserError, match=r"none.npz: does not exist"):
+    with pytest.raises(UserError, match=r"none.npz: cannot be read \(No such file"):
         read_npz(tmp_path / "none.npz")

@@ -123,8 +123,8 @@ def test_a_claimed_size_takes_no_memory(written):
 
 
 def test_a_file_above_the_limit_is_not_read(written):
-    with pytest.raises(UserError, match="has 200 bytes, more than the 100 allowed"):
-        read_pickle(written(bytes(200)), max_bytes=100)
+    with pytest.raises(UserError, match="has 200 bytes, more than the 100 that are read"):
+        read_pickle(written(b"x" * 200), max_bytes=100)
 
 
 CONTENTS = {
@@ -156,5 +156,5 @@ def test_a_file_cut_anywhere_is_refused(written):
 
 
 def test_a_missing_file_is_named(tmp_path):
-    with pytest.raises(UserError, match="none.pkl: does not exist"):
+    with pytest.raises(UserError, match=r"none.pkl: cannot be read \(No such file"):
         read_pickle(tmp_path / "none.pkl")
