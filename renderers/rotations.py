@@ -128,3 +128,15 @@ def slerp(start: Tensor, end: Tensor, weight: Tensor) -> Tensor:
     """Along the shortest arc from ``start`` [... 3 3] (weight 0) to ``end`` [... 3 3] (weight 1); weight [...]."""
     step = matrix_to_axis_angle(start.mT @ end)
     return start @ axis_angle_to_matrix(weight[..., None] * step)
+
+
+def slerp_quaternions(start: Tensor, end: Tensor, weight: Tensor) -> Tensor:
+    """As :func:`slerp` on unit quaternions [... 4], for many keys: of two that are opposite, one arc or the other."""
+    cosine = (start * end).sum(dim=-1, keepdim=True)
+    end, cosine = torch.where(cosine < 0, -end, end), cosine.abs()
+    angle = torch.atan2((end - cosine * start).norm(dim=-1, keepdim=True), cosine)
+    weight, near = weight[..., None], angle < 1e-6
+    sine = torch.where(near, 1.0, angle.sin())
+    before = torch.where(near, 1 - weight, ((1 - weight) * angle).sin() / sine)
+    after = torch.where(near, weight, (weight * angle).sin() / sine)
+    return torch.nn.functional.normalize(before * start + after * end, dim=-1)

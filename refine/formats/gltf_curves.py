@@ -7,10 +7,11 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from refine.formats.gltf import REMEDY, Gltf, is_count, shown
 from renderers.checks import UserError, check_known
-from renderers.rotations import quaternion_to_matrix, slerp
+from renderers.rotations import slerp_quaternions
 
 PATHS = {"rotation": "VEC4", "translation": "VEC3", "scale": "VEC3"}
 INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
@@ -24,7 +25,8 @@ class Curve:
     Attributes:
         path: a key of ``PATHS``.
         times: [n] seconds, never falling.
-        values: [n k], quaternions as (w, x, y, z); of a cubic spline [3 n k], the tangents before and after it.
+        values: [n k], unit quaternions as (w, x, y, z); of a cubic spline [3 n k]: tangents before, values, tangents
+            after.
         interpolation: one of ``INTERPOLATIONS``.
     """
 
@@ -34,7 +36,7 @@ class Curve:
     interpolation: str
 
     def at(self, seconds: np.ndarray, close: float) -> Tensor:
-        """The property [T k] at the given seconds, a rotation as a matrix [T 3 3].
+        """The property [T k] at the given seconds.
 
         It is held before the first key and after the last. A key not further off than ``close`` seconds is met exactly.
         """
@@ -44,20 +46,21 @@ class Curve:
         past = torch.from_numpy(seconds - self.times[low])
         share = (past / span.where(span > 0, 1.0)).clamp(max=1.0)
         share = share.where((past > close) & (self.interpolation != "STEP"), 0.0)
-        turns = self.path == "rotation"
         if self.interpolation == "CUBICSPLINE":
-            values = self._spline(low, high, share[:, None], span[:, None])
-            return quaternion_to_matrix(values) if turns else values
-        start, end = self.values[low], self.values[high]
-        if turns:
-            return slerp(quaternion_to_matrix(start), quaternion_to_matrix(end), share)
-        return torch.lerp(start, end, share[:, None])
+            return self._spline(low, high, share[:, None], span[:, None])
+        between = slerp_quaternions if self.path == "rotation" else _lerp
+        return between(self.values[low], self.values[high], share)
 
     def _spline(self, low: np.ndarray, high: np.ndarray, t: Tensor, span: Tensor) -> Tensor:
         """Hermite's cubic between two keys, ``t`` of the way (glTF 2.0, appendix C)."""
         into, key, out = self.values
         start = (2 * t**3 - 3 * t**2 + 1) * key[low] + (t**3 - 2 * t**2 + t) * span * out[low]
-        return start + (3 * t**2 - 2 * t**3) * key[high] + (t**3 - t**2) * span * into[high]
+        value = start + (3 * t**2 - 2 * t**3) * key[high] + (t**3 - t**2) * span * into[high]
+        return normalize(value, dim=-1) if self.path == "rotation" else value
+
+
+def _lerp(start: Tensor, end: Tensor, share: Tensor) -> Tensor:
+    return torch.lerp(start, end, share[:, None])
 
 
 def read_curves(file: Gltf, number: int, nodes: Collection[int]) -> dict[tuple[int, str], Curve]:
@@ -113,4 +116,6 @@ def _curve(file: Gltf, where: str, path: str, sampler: Mapping[str, Any], times:
         if lengths.min() < 0.1:
             raise UserError(where, f"key frame {lengths.argmin()} is no rotation: a quaternion near zero", REMEDY)
         values = np.roll(values, 1, axis=-1)  # glTF has x, y, z, w
+        if interpolation != "CUBICSPLINE":
+            values = values / lengths[:, None]
     return Curve(path, times, torch.from_numpy(np.ascontiguousarray(values)), interpolation)

@@ -68,17 +68,19 @@ def read_rig(file: Gltf) -> Rig:
 
 def pose(rig: Rig, curves: Mapping[tuple[int, str], Curve], seconds: np.ndarray, close: float) -> Tensor:
     """Node to world [T N 4 4] at the given seconds; ``close`` as in :meth:`Curve.at`."""
-    local = rig.locals.repeat(len(seconds), 1, 1, 1)
+    frames = len(seconds)
+    moved = {key: curve.at(seconds, close) for key, curve in curves.items()}
+    local = rig.locals.repeat(frames, 1, 1, 1)
+    turning = [index for index, node in enumerate(rig.nodes) if (node, "rotation") in moved]
+    if turning:
+        turns = torch.stack([moved[rig.nodes[index], "rotation"] for index in turning], dim=1)
+        local[:, turning, :3, :3] = quaternion_to_matrix(turns) * rig.sizes[turning][:, None, :]
     for index, node in enumerate(rig.nodes):
-        moved = {path: curves[node, path].at(seconds, close) for path in DEFAULTS if (node, path) in curves}
-        if not moved:
-            continue
-        if "translation" in moved:
-            local[:, index, :3, 3] = moved["translation"]
-        if "rotation" in moved or "scale" in moved:
-            size = rig.sizes[index]
-            turn = moved.get("rotation", rig.locals[index, :3, :3] / size.where(size != 0, 1.0))
-            local[:, index, :3, :3] = turn * moved.get("scale", size[None])[:, None, :]
+        if (node, "translation") in moved:
+            local[:, index, :3, 3] = moved[node, "translation"]
+        if (node, "scale") in moved:
+            grown = moved[node, "scale"] / rig.sizes[index].where(rig.sizes[index] != 0, 1.0)
+            local[:, index, :3, :3] *= grown[:, None, :]
     return _compose(rig.parents, local)
 
 
@@ -129,10 +131,9 @@ def _animated(file: Gltf) -> set[int]:
     for animation in file.entries("animations"):
         for channel in _list(animation.get("channels")):
             target = channel.get("target") if isinstance(channel, dict) else None
-            node = target.get("node") if isinstance(target, dict) else None
-            if node is not None:
-                file.entry("nodes", node)
-                found.add(node)
+            if isinstance(target, dict) and target.get("path") in tuple(DEFAULTS) and "node" in target:
+                file.entry("nodes", target["node"])
+                found.add(target["node"])
     return found
 
 

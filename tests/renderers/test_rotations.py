@@ -21,6 +21,7 @@ from renderers.rotations import (
     rotation_about,
     rotation_angle,
     slerp,
+    slerp_quaternions,
 )
 
 HALF_TURN = torch.tensor(math.pi / 2, dtype=torch.float64)
@@ -143,3 +144,13 @@ def test_continuous_quaternions_do_not_flip(generator):
     signs[0] = 1
     torch.testing.assert_close(continuous(true * signs), true)
     assert continuous(true[:1]).shape == (1, 3, 4)
+
+
+def test_slerp_of_quaternions_is_slerp_of_matrices(generator):
+    start, end = random_rotations(generator, 100), random_rotations(generator, 100)
+    end[:20] = start[:20] @ axis_angle_to_matrix(1e-8 * torch.randn(20, 3, generator=generator, dtype=torch.float64))
+    weight = torch.rand(100, generator=generator, dtype=torch.float64)
+    signs = 1 - 2 * torch.randint(0, 2, (100, 1), generator=generator)
+    between = slerp_quaternions(matrix_to_quaternion(start), signs * matrix_to_quaternion(end), weight)
+    torch.testing.assert_close(quaternion_to_matrix(between), slerp(start, end, weight), atol=1e-7, rtol=0)
+    torch.testing.assert_close(between.norm(dim=-1), torch.ones(100, dtype=torch.float64))
