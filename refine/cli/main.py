@@ -1,10 +1,15 @@
 """``refine``: reads the command line, runs the verb, and words what went wrong in one line."""
 
+import difflib
 import os
 import sys
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
+from contextlib import nullcontext, redirect_stderr, redirect_stdout
+from importlib.metadata import version
+from io import BytesIO, TextIOWrapper
+from typing import Any
 
-from tyro.conf import CascadeSubcommandArgs, FlagCreatePairsOff
+from tyro.conf import CascadeSubcommandArgs, FlagCreatePairsOff, PositionalMetavarFromFieldName
 from tyro.extras import SubcommandApp
 
 from refine.cli.check_renderer import CheckRenderer
@@ -13,44 +18,53 @@ from refine.cli.data import BuildBenchmark, ImportData
 from refine.cli.demo import Demo
 from refine.cli.evaluate import Evaluate
 from refine.cli.generate import Generate
+from refine.cli.grammar import grammar
 from refine.cli.inspect import Inspect
 from refine.cli.render import Render
+from refine.cli.results import Output, Result, hushed, printable, show
 from refine.cli.train import TrainGenerator, TrainMAE
 from refine.cli.train_recogniser import TrainRecogniser
 from renderers.checks import UserError
 
 DESCRIPTION = "Compose two human actions into one motion and refine it with a differentiable renderer in the loop."
-
-
-def verbs() -> SubcommandApp:
-    """Every verb's flags. Their modules are light: what a verb works with it imports when it runs."""
-    app, data, train = SubcommandApp(), SubcommandApp(), SubcommandApp()
-    data.command(ImportData, name="import")
-    data.command(BuildBenchmark, name="benchmark")
-    train.command(TrainMAE, name="mae")
-    train.command(TrainGenerator, name="generator")
-    train.command(TrainRecogniser, name="recogniser")
-    app.command(Demo, name="demo")
-    app.command(Compose, name="compose")
-    app.command(Inspect, name="inspect")
-    app.command(Render, name="render")
-    app.command(data, name="data", help="Prepare motion data.\n\nExample: refine data import clips --out clips.npz")
-    app.command(train, name="train", help="Train the networks.\n\nExample: refine train mae tiny --out runs/mae")
-    app.command(Generate, name="generate")
-    app.command(Evaluate, name="evaluate")
-    app.command(CheckRenderer, name="check-renderer")
-    return app
+EXIT_CODES = """\
+Exit codes: 0 done; 1 a check found something wanting; 2 something that you can mend, named in one line; 130 stopped by
+Ctrl-C. Results go to stdout; notes, bars and errors to stderr. NO_COLOR=1 takes the colours away."""
+STYLE = (FlagCreatePairsOff, CascadeSubcommandArgs, PositionalMetavarFromFieldName)
+# What is typed: a class whose fields are the verb's flags, or verbs under a common word, with its description in "".
+VERBS: dict[str, Any] = {
+    "demo": Demo,
+    "compose": Compose,
+    "inspect": Inspect,
+    "render": Render,
+    "data": {
+        "": "Prepare motion data.\n\nExample: refine data import clips --out clips.npz",
+        "import": ImportData,
+        "benchmark": BuildBenchmark,
+    },
+    "train": {
+        "": "Train the networks.\n\nExample: refine train mae tiny --out runs/mae",
+        "mae": TrainMAE,
+        "generator": TrainGenerator,
+        "recogniser": TrainRecogniser,
+    },
+    "generate": Generate,
+    "evaluate": Evaluate,
+    "check-renderer": CheckRenderer,
+}
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command: 0 when it is done, 1 when it found what it checks wanting, 2 for what the user can mend, 130
     after Ctrl-C."""
     try:
-        verb = verbs().cli(
-            prog="refine", description=DESCRIPTION, args=argv, config=(FlagCreatePairsOff, CascadeSubcommandArgs)
-        )
-        check_seed(verb.seed)
-        code = verb.run()
+        verb = parsed(sys.argv[1:] if argv is None else list(argv))
+        check_seed(getattr(verb, "seed", None))
+        output = getattr(verb, "output", Output())
+        with hushed(output.quiet):
+            result = verb.run()
+        if isinstance(result, Result):
+            show(result, output, name_of(type(verb), VERBS))
         sys.stdout.flush()
     except KeyboardInterrupt:
         return fail("stopped; nothing half-written is left", 130)
@@ -63,7 +77,86 @@ def main(argv: Sequence[str] | None = None) -> int:
         if error.filename is None:
             raise
         return fail(f"{error.filename}: {error.strerror}", 2)
-    return code or 0
+    return result.code if isinstance(result, Result) else result or 0
+
+
+def parsed(argv: Sequence[str]) -> Any:
+    """The verb that the words ask for.
+
+    Raises:
+        UserError: there is no such verb or flag, one is missing, or has a value that it cannot take.
+        SystemExit: help, or the version, was asked for and printed.
+    """
+    if argv == ["--version"]:
+        print(f"refine {version('refine-motion')}")
+        raise SystemExit(0)
+    complaint, plain = _page(), _page() if os.environ.get("NO_COLOR") else None
+    try:
+        with redirect_stderr(complaint), redirect_stdout(plain) if plain else nullcontext():
+            return app(VERBS).cli(prog="refine", description=DESCRIPTION, args=argv, config=STYLE)
+    except SystemExit as stopped:
+        if stopped.code:
+            raise usage_error(argv, _written(complaint)) from None
+        print(_written(plain) if plain else "", EXIT_CODES, sep="")
+        raise
+
+
+def _page() -> TextIOWrapper:
+    """What takes the parser's output, and is no terminal."""
+    return TextIOWrapper(BytesIO(), encoding=sys.stdout.encoding, errors="replace", write_through=True)
+
+
+def _written(page: TextIOWrapper) -> str:
+    return page.buffer.getvalue().decode(page.encoding, errors="replace")
+
+
+def app(verbs: dict[str, Any]) -> SubcommandApp:
+    """Every verb's flags. Their modules are light: what a verb works with it imports when it runs."""
+    made = SubcommandApp()
+    for name, verb in verbs.items():
+        if isinstance(verb, dict):
+            made.command(app(verb), name=name, help=verb[""])
+        elif name:
+            made.command(verb, name=name)
+    return made
+
+
+def usage_error(argv: Sequence[str], complaint: str) -> UserError:
+    """In one line what is wrong with the words, and what is meant by them.
+
+    Args:
+        complaint: what the parser says, in a box of many lines.
+    """
+    chain = grammar(VERBS).along(argv)
+    last, rest = chain[-1], argv[len(chain) - 1 :]
+    where, remedy = last.name or "command line", f"see `{' '.join(['refine', *last.name.split()])} --help`"
+    if last.commands and rest and not rest[0].startswith("-"):
+        return UserError(where, f"there is no {rest[0]!r}", offer(rest[0], last.commands) or remedy)
+    known = [name for command in chain for flag in command.flags if not flag.positional for name in flag.names]
+    for word in rest:
+        flag = word.partition("=")[0].replace("_", "-")
+        if flag.startswith("--") and flag.strip("-") and flag not in known:
+            return UserError(where, f"has no flag {flag}", offer(flag, known) or remedy)
+    lines = [line.strip("╭╮╰╯│─| ") for line in complaint.splitlines()[1:]]
+    lines = [line.strip("+-") and line for line in lines]  # without rules
+    first = " ".join(lines[: lines.index("")] if "" in lines else lines)
+    return UserError(where, first.rstrip(".") or "cannot be understood", remedy)
+
+
+def offer(word: str, known: Iterable[str]) -> str:
+    """The names nearest in spelling, as a question."""
+    near = difflib.get_close_matches(word, list(known), n=3)
+    return f"did you mean {' or '.join(near)}?" if near else ""
+
+
+def name_of(verb: type, verbs: dict[str, Any]) -> str:
+    """What is typed for a verb, such as "data import"."""
+    for name, each in verbs.items():
+        if each is verb:
+            return name
+        if isinstance(each, dict) and (below := name_of(verb, each)):
+            return f"{name} {below}"
+    return ""
 
 
 def check_seed(seed: int | None) -> None:
@@ -73,7 +166,7 @@ def check_seed(seed: int | None) -> None:
 
 
 def fail(message: str, code: int) -> int:
-    print("refine:", " ".join(message.split()), file=sys.stderr)
+    print("refine:", printable(" ".join(message.split())), file=sys.stderr)
     return code
 
 

@@ -1,5 +1,6 @@
 """``refine train mae`` and ``refine train generator``: flags straight from the training programs' configurations."""
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -13,22 +14,29 @@ if TYPE_CHECKING:
     from train.config import GeneratorTraining, MAETraining
 
 
-def mae_presets() -> Any:
+Presets = dict[str, tuple[str, Any]]  # what is said of each, and its configuration
+
+
+def mae_presets() -> Presets:
     from train.config import MAE_PRESETS
 
-    return preset_type(MAE_PRESETS)
+    return MAE_PRESETS
 
 
-def generator_presets() -> Any:
+def generator_presets() -> Presets:
     from train.config import GENERATOR_PRESETS
 
-    return preset_type(GENERATOR_PRESETS)
+    return GENERATOR_PRESETS
 
 
-def preset_type(presets: dict[str, tuple[str, Any]]) -> Any:
-    """A choice between presets, each of whose values is a flag."""
-    defaults = {name: config for name, (_, config) in presets.items()}
-    return subcommand_type_from_defaults(defaults, {name: said for name, (said, _) in presets.items()})
+def choice_of(presets: Callable[[], Presets]) -> Any:
+    """A choice between presets, each of whose values is a flag; they are imported when they are needed."""
+
+    def choice() -> Any:
+        defaults = {name: config for name, (_, config) in presets().items()}
+        return subcommand_type_from_defaults(defaults, {name: said for name, (said, _) in presets().items()})
+
+    return Annotated[Any, arg(name="", constructor_factory=choice)]
 
 
 def checked(config: Any, seed: int | None) -> Any:
@@ -46,7 +54,8 @@ class TrainMAE:
     Example: refine train mae tiny --out runs/mae
     """
 
-    config: Annotated[Any, arg(name="", constructor_factory=mae_presets)]
+    presets = staticmethod(mae_presets)
+    config: choice_of(mae_presets)
     seed: int | None = None
     """The same as --loop.seed."""
 
@@ -72,7 +81,8 @@ class TrainGenerator:
     Example: refine train generator small --data.source synth-c --variant without-dr --out runs/without-dr
     """
 
-    config: Annotated[Any, arg(name="", constructor_factory=generator_presets)]
+    presets = staticmethod(generator_presets)
+    config: choice_of(generator_presets)
     seed: int | None = None
     """The same as --loop.seed."""
 

@@ -2,21 +2,19 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Any
 
-from tyro.conf import arg
-
-from refine.cli.train import preset_type
+from refine.cli.train import Presets, choice_of
 from renderers.checks import UserError
 
 if TYPE_CHECKING:
     from train.recogniser import RecogniserTraining
 
 
-def recogniser_presets() -> Any:
+def recogniser_presets() -> Presets:
     from train.recogniser import RECOGNISER_PRESETS
 
-    return preset_type(RECOGNISER_PRESETS)
+    return RECOGNISER_PRESETS
 
 
 @dataclass(frozen=True)
@@ -29,7 +27,8 @@ class TrainRecogniser:
     Example: refine train recogniser small --benchmark benchmarks/synth-c
     """
 
-    config: Annotated[Any, arg(name="", constructor_factory=recogniser_presets)]
+    presets = staticmethod(recogniser_presets)
+    config: choice_of(recogniser_presets)
     benchmark: Path
     """Folder that `refine data benchmark` built."""
     force: bool = False
