@@ -1,10 +1,16 @@
 """AMASS-style .npz files in and out, which is also this project's own file for one motion.
 
 On disk z is up and a standing figure whose root is turned by 90 degrees about x faces -y; inside y is up and it faces
-+z. The two frames differ by one rotation about x and nothing else, so left stays left (protocol A.5). ``trans`` is
-SMPL's translation: the pelvis joint, in the frame of the file, less its position in SMPL's own T-pose, whose origin is
-near the chest. That position is taken from SMPL's mean body whatever the body here, so that heights are those of the
-file and other programs find our pelvis where we had it.
++z. The two frames differ by one rotation about x and nothing else, so left stays left (protocol A.5). Files that look
+like AMASS's but have y up are read as such only where that is said; `looks_turned` tells them by their bodies, which
+lie on their faces otherwise.
+
+``trans`` is SMPL's translation: the pelvis joint, in the frame of the file, less its position in SMPL's own T-pose,
+whose origin is near the chest. That position is taken from SMPL's mean body whatever the body here, so that heights are
+those of the file and other programs find our pelvis where we had it.
+
+SMPL (72 numbers a frame), SMPL-H (156) and SMPL-X (165) share their first 22 joints. Fingers, jaws and eyes are not
+kept: a hand is one joint here, which turns four fingers.
 """
 
 import math
@@ -16,7 +22,7 @@ from torch import Tensor
 
 from refine.formats.npz import read_npz
 from refine.motion import Motion
-from renderers.checks import UserError, check_finite
+from renderers.checks import UserError, check_finite, check_known
 from renderers.outputs import replacing
 from renderers.rotations import axis_angle_to_matrix, matrix_to_axis_angle, rotation_about
 from renderers.skeleton import JOINT_NAMES
@@ -29,19 +35,31 @@ FINGERS = {
     156: ((22, 25, 28, 31), (37, 40, 43, 46)),
     165: ((25, 28, 31, 34), (40, 43, 46, 49)),
 }
+MODELS = {"smpl": 72, "smplh": 156, "smplx": 165}
+MIDDLE_FINGERS = (3, 18)  # among the 30 joints of ``pose_hand``
 PELVIS = (-0.0018, -0.2233, 0.0282)  # of SMPL's mean neutral body at rest, metres
-RATE_KEYS = ("mocap_framerate", "mocap_frame_rate")
-KEYS = ("poses", "root_orient", "pose_body", "trans", "label", *RATE_KEYS)
+RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps")
+KEYS = ("poses", "root_orient", "pose_body", "pose_hand", "trans", "label", *RATE_KEYS)
+SHAPE_KEYS = ("betas", "gender")
+GENDERS = ("neutral", "female", "male")
+MAX_BETAS = 400  # SMPL-X has the most
+BETAS, DYNAMICS = 16, 8  # numbers of shape and of soft tissue that AMASS's programs expect
 
 
-def read_amass(path: str | Path) -> Motion:
-    """Read poses, path and frame rate.
+def read_amass(path: str | Path, up: str = "z", fps: float | None = None) -> Motion:
+    """Read poses, path and frame rate, and the shape of the body if it is there.
 
-    Poses are ``poses`` [T 72, 156 or 165], or ``root_orient`` [T 3] with ``pose_body`` [T 63]; the path is ``trans``.
+    Poses are ``poses`` [T 72, 156 or 165], or ``root_orient`` [T 3] with ``pose_body`` [T 63] and maybe ``pose_hand``
+    [T 90]; the path is ``trans``; a shape is ``betas``, of any number, with ``gender``.
+
+    Args:
+        up: the axis of the file that points up, "z" or "y".
+        fps: frame rate, for a file that has none.
 
     Raises:
         UserError: the file is not safe to read, lacks one of these, or holds values that are not finite.
     """
+    check_known("--up", up, ("y", "z"))
     arrays = read_npz(path, KEYS)
     axis_angles = _axis_angles(path, arrays)
     trans = _numbers(path, arrays, "trans")
@@ -49,45 +67,92 @@ def read_amass(path: str | Path) -> Motion:
         raise UserError(
             path, f"trans has shape {list(trans.shape)}, poses have {len(axis_angles)} frames", "mend the file"
         )
-    rate = _rate(path, arrays)
+    rate = _rate(path, arrays, fps)
     check_finite(path, axis_angles, "frame joint coordinate", {"joint": JOINT_NAMES})
     check_finite(path, trans, "frame coordinate")
     rotations = axis_angle_to_matrix(torch.from_numpy(axis_angles))
-    upright = _upright()
+    upright = _upright() if up == "z" else torch.eye(3, dtype=torch.float64)
     rotations[:, 0] = upright @ rotations[:, 0]
     root = torch.from_numpy(trans + PELVIS) @ upright.mT
-    return Motion(rotations.float(), root.float(), rate, str(arrays.get("label", "")), str(path))
+    betas, gender = _shape(path)
+    return Motion(
+        rotations.float(), root.float(), rate, str(arrays.get("label", "")), str(path), betas=betas, gender=gender
+    )
 
 
-def write_amass(path: str | Path, motion: Motion) -> None:
-    """Write SMPL-H's layout, 156 wide, with both spellings of the frame rate and a mean, neutral shape."""
+def write_amass(path: str | Path, motion: Motion, model: str = "smplh") -> None:
+    """Write a motion, with both spellings of the frame rate and a shape of at least 16 numbers.
+
+    SMPL-H's layout (156 wide) is what programs for AMASS read. The SMPL-X add-on for Blender asks for all 55 joints of
+    ``model="smplx"`` (165 wide), which is written as AMASS's own SMPL-X files are, body and hands apart as well.
+    """
+    check_known("write_amass(model)", model, MODELS)
+    width = MODELS[model]
     upright = _upright()
     rotations = motion.rotations.detach().to("cpu", torch.float64, copy=True)
     rotations[:, 0] = upright.mT @ rotations[:, 0]
     axis_angles = matrix_to_axis_angle(rotations)
-    poses = torch.zeros(len(motion), 52, 3, dtype=torch.float64)
+    poses = torch.zeros(len(motion), width // 3, 3, dtype=torch.float64)
     poses[:, :BODY] = axis_angles[:, :BODY]
-    for hand, fingers in enumerate(FINGERS[156], start=BODY):
+    for hand, fingers in enumerate(FINGERS[width], start=BODY):
         poses[:, list(fingers)] = axis_angles[:, hand, None]
-    trans = (motion.root.detach().cpu().double() @ upright).numpy() - PELVIS
+    poses = poses.reshape(len(motion), -1).numpy()
+    betas = np.zeros(BETAS) if motion.betas is None else motion.betas.detach().cpu().double().numpy()
+    arrays = {
+        "poses": poses,
+        "trans": (motion.root.detach().cpu().double() @ upright).numpy() - PELVIS,
+        "betas": np.pad(betas, (0, max(0, BETAS - len(betas)))),
+        "gender": np.array(motion.gender),
+        "surface_model_type": np.array(model),
+        "label": np.array(motion.label),
+        **dict.fromkeys(RATE_KEYS[:2], np.float64(motion.fps)),
+    }
+    if model == "smplh":
+        arrays["dmpls"] = np.zeros((len(motion), DYNAMICS))
+    if model == "smplx":
+        parts = {"root_orient": 3, "pose_body": 63, "pose_jaw": 3, "pose_eye": 6, "pose_hand": 90}
+        ends = np.cumsum(list(parts.values()))[:-1]
+        arrays |= dict(zip(parts, np.split(poses, ends, axis=1), strict=True))
     with replacing(path) as partial, partial.open("wb") as stream:
-        np.savez_compressed(
-            stream,
-            poses=poses.reshape(len(motion), -1).numpy(),
-            trans=trans,
-            betas=np.zeros(16),
-            gender=np.array("neutral"),
-            label=np.array(motion.label),
-            **dict.fromkeys(RATE_KEYS, np.float64(motion.fps)),
-        )
+        np.savez_compressed(stream, **arrays)
 
 
-def _rate(path: str | Path, arrays: dict[str, np.ndarray]) -> float:
+def looks_turned(motion: Motion) -> bool:
+    """Whether a motion read with z up is likely one with y up: its body lies face down or on its back, head towards
+    what was y, in almost every frame."""
+    head = motion.rotations[:, 0, :, 1]  # where the pelvis's own y points
+    return bool((head[:, 2] < -0.7).float().mean() > 0.9)
+
+
+def _rate(path: str | Path, arrays: dict[str, np.ndarray], fps: float | None) -> float:
     for key in RATE_KEYS:
         rate = arrays.get(key)
         if rate is not None and rate.dtype.kind in "fiu" and rate.size == 1 and 0 < rate.item() < math.inf:
             return float(rate.item())
-    raise UserError(path, f"has no frame rate ({' or '.join(RATE_KEYS)})", "add one")
+    if fps is not None:
+        return fps
+    raise UserError(path, f"has no frame rate ({' or '.join(RATE_KEYS[:2])})", "add one, or say it with --fps")
+
+
+def _shape(path: str | Path) -> tuple[Tensor | None, str]:
+    """``betas`` [B], none if there are no usable ones, and the gender. Neither is needed: what cannot be read is left
+    out, such as text that was stored as Python objects."""
+    found = {}
+    for key in SHAPE_KEYS:
+        try:
+            found |= read_npz(path, (key,))
+        except UserError:
+            continue
+    gender = found.get("gender", np.array(""))
+    text = str(gender.astype(str).item()).strip().lower() if gender.size == 1 and gender.dtype.kind in "SU" else ""
+    betas = found.get("betas")
+    if betas is None or betas.dtype.kind not in "fiu" or not np.isfinite(betas).all() or not betas.size:
+        betas = None
+    elif betas.ndim == 2:  # one shape a frame, which is the same in all
+        betas = betas[0]
+    if betas is None or betas.ndim != 1 or len(betas) > MAX_BETAS:
+        return None, text if text in GENDERS else "neutral"
+    return torch.from_numpy(betas.astype(np.float32)), text if text in GENDERS else "neutral"
 
 
 def _upright() -> Tensor:
@@ -97,21 +162,31 @@ def _upright() -> Tensor:
 
 def _axis_angles(path: str | Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
     """[T 24 3] radians."""
-    if "poses" in arrays:
-        poses = _numbers(path, arrays, "poses")
-    else:
-        root, body = (_numbers(path, arrays, key) for key in ("root_orient", "pose_body"))
-        if body.ndim != 2 or body.shape[1] < 3 * (BODY - 1) or root.shape != (len(body), 3):
-            problem = f"root_orient {list(root.shape)} and pose_body {list(body.shape)} do not fit"
-            raise UserError(path, problem, "give frames by 3 and frames by 63")
-        hands = np.zeros((len(body), 6))
-        poses = np.concatenate([root, body[:, : 3 * (BODY - 1)], hands], axis=1)
+    if "poses" not in arrays:
+        return _apart(path, arrays)
+    poses = _numbers(path, arrays, "poses")
     if poses.ndim != 2 or poses.shape[1] not in FINGERS:
         known = ", ".join(map(str, FINGERS))
         raise UserError(path, f"poses have shape {list(poses.shape)}", f"give frames by one of {known}")
     joints = poses.reshape(len(poses), poses.shape[1] // 3, 3)
     left, right = (fingers[min(1, len(fingers) - 1)] for fingers in FINGERS[poses.shape[1]])
     return joints[:, [*range(BODY), left, right]]
+
+
+def _apart(path: str | Path, arrays: dict[str, np.ndarray]) -> np.ndarray:
+    """[T 24 3] radians from root, body and hands stored apart."""
+    root, body = (_numbers(path, arrays, key) for key in ("root_orient", "pose_body"))
+    if body.ndim != 2 or body.shape[1] < 3 * (BODY - 1) or root.shape != (len(body), 3):
+        problem = f"root_orient {list(root.shape)} and pose_body {list(body.shape)} do not fit"
+        raise UserError(path, problem, "give frames by 3 and frames by 63")
+    hands = np.zeros((len(body), 2, 3))
+    if "pose_hand" in arrays:
+        fingers = _numbers(path, arrays, "pose_hand")
+        if fingers.shape != (len(body), 90):
+            raise UserError(path, f"pose_hand has shape {list(fingers.shape)}", "give frames by 90, or leave it out")
+        hands = fingers.reshape(len(body), 30, 3)[:, list(MIDDLE_FINGERS)]
+    joints = np.concatenate([root, body[:, : 3 * (BODY - 1)]], axis=1).reshape(len(body), BODY, 3)
+    return np.concatenate([joints, hands], axis=1)
 
 
 def _numbers(path: str | Path, arrays: dict[str, np.ndarray], key: str) -> np.ndarray:
