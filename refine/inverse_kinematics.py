@@ -23,7 +23,7 @@ from torch.nn.functional import conv1d, normalize
 
 from refine.alignment import across, direction, frame, kabsch, swing
 from refine.joint_layouts import LAYOUTS, Layout
-from refine.measured_skeleton import ARMS, COLLARS, HIPS, LEGS, NECK, SPINE, leg_length, measured_skeleton
+from refine.measured_skeleton import ARMS, COLLARS, HIPS, LEGS, NECK, SPINE, leg_length, measured_skeleton, stretch
 from refine.motion import Motion
 from renderers.checks import UserError, check_finite, check_shapes
 from renderers.rotations import slerp
@@ -60,6 +60,7 @@ class Fit:
         scale: metres a unit of the file: the legs of the body over those of the file.
         lift: metres by which the path was raised, to stand on the floor with the lowest joint of the clip.
         swapped: whether left and right were exchanged, because the feet pointed backwards otherwise.
+        stretch: how much bones change their lengths, as a ratio; near 0 for a body.
     """
 
     motion: Motion
@@ -67,6 +68,7 @@ class Fit:
     scale: float
     lift: float
     swapped: bool
+    stretch: float
 
     @property
     def error(self) -> float:
@@ -95,8 +97,8 @@ def fit_joints(
         layout: how the joints are numbered; none goes by their number.
 
     Raises:
-        ShapeError: another shape. UserError: another number of joints, no frame, a value that is not finite, or legs
-            without length.
+        ShapeError: another shape. UserError: another number of joints, no frame, a frame rate that is none, a value
+            that is not finite, or legs without length.
     """
     check_shapes("fit_joints", positions=(positions, "T J 3"), rest_joints=(rest_joints, "24 3"))
     count = positions.shape[1]
@@ -107,7 +109,9 @@ def fit_joints(
     if len(positions) == 0:
         raise UserError(source, "has no frames", "give a clip of at least one frame")
     check_finite(source, positions, "frame joint coordinate")
-    config, fps = config or FittingConfig(), fps or layout.fps
+    config, fps = config or FittingConfig(), layout.fps if fps is None else fps
+    if not 0 < fps < 10_000:
+        raise UserError(source, f"frame rate {fps} is not a number of frames per second")
     rest = rest_joints.detach().to("cpu", torch.float64)
     joints, seen = _arranged(positions.detach().to("cpu", torch.float64), layout)
     swapped = _feet_point_back(joints)
@@ -123,7 +127,7 @@ def fit_joints(
     lift = 0.0 if model is rest else float(rest[:, 1].min() - lowest.min())
     root = root + torch.tensor([0.0, lift, 0.0], dtype=root.dtype)
     motion = Motion(rotations, root.float(), fps, label, source)
-    return Fit(motion, errors.float(), scale, lift, swapped)
+    return Fit(motion, errors.float(), scale, lift, swapped, stretch(joints, seen))
 
 
 def _blocks(frames: int, reach: int) -> Iterator[tuple[int, int, slice]]:
@@ -235,7 +239,7 @@ def _remembered(votes: Tensor, fps: float, config: FittingConfig) -> Tensor:
     signal = torch.stack([votes.real, votes.imag])[:, None]
     total = torch.zeros_like(signal)
     for power, span in enumerate(config.spans):
-        reach = _reach(span, fps)
+        reach = min(_reach(span, fps), len(votes))
         kernel = torch.exp(-0.5 * (torch.arange(-reach, reach + 1, dtype=signal.dtype) / (span * fps)) ** 2)
         total = total + 100.0**-power * conv1d(signal, kernel[None, None], padding=reach)
     return torch.complex(total[0, 0] + config.prior, total[1, 0])

@@ -1,5 +1,6 @@
 """The skeleton behind joint positions: a T-pose with the lengths that are seen."""
 
+import torch
 from torch import Tensor
 
 from refine.alignment import NOTHING, kabsch
@@ -51,6 +52,18 @@ def measured_skeleton(joints: Tensor, seen: list[bool], pose: Tensor, rest: Tens
             turned = kabsch(offsets[list(ends)], there)
             offsets[list(ends)] = (there @ turned).median(dim=0).values
     return _joined(offsets)
+
+
+def stretch(joints: Tensor, seen: list[bool]) -> float:
+    """How much bones change their lengths: the range of the middle four fifths of the frames over the median, for the
+    median bone. Nothing for a body, much for numbers that are none."""
+    above = [(_seen_above(joint, seen), joint) for joint in range(1, len(seen)) if seen[joint]]
+    lengths = torch.stack([(joints[:, b] - joints[:, a]).norm(dim=-1) for a, b in above])
+    middle = lengths.median(dim=1).values
+    ordered = lengths.sort(dim=1).values
+    tenth = ordered.shape[1] // 10
+    spread = ordered[:, -1 - tenth] - ordered[:, tenth]
+    return float((spread / middle.clamp(min=NOTHING)).median())
 
 
 def _stretched(
