@@ -7,10 +7,12 @@ from pathlib import Path
 
 from torch import Tensor
 
+from refine.formats.actor import read_humanact
 from refine.formats.amass import read_amass, write_amass
 from refine.formats.bvh import read_bvh, write_bvh
 from refine.formats.glb import write_glb
 from refine.formats.glb_read import read_glb
+from refine.formats.joints import read_joints, write_joints
 from refine.formats.untrusted import kind_of
 from refine.motion import Motion
 from refine.retarget import retarget
@@ -33,18 +35,28 @@ class Reading:
     """Frame rate, for files that have none."""
     mapping: Path | None = None
     """JSON file that says which joint of the file is which of ours, as `refine data inspect` writes it."""
+    up: str | None = None
+    """Axis that points up in .npz and .npy files, "y" or "z"; none takes z for AMASS-style files and y for joints."""
 
 
 def read_one_bvh(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
     return [retarget(read_bvh(path, reading.unit), rest_joints)]
 
 
-def read_one_amass(path: Path, _rest_joints: Tensor, _reading: Reading) -> list[Motion]:
-    return [read_amass(path)]
+def read_one_amass(path: Path, _rest_joints: Tensor, reading: Reading) -> list[Motion]:
+    return [read_amass(path, reading.up or "z", reading.fps)]
 
 
 def read_one_glb(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
     return read_glb(path, rest_joints, reading.fps)
+
+
+def read_one_npy(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
+    return [read_joints(path, rest_joints, reading.fps, reading.up or "y").motion]
+
+
+def read_one_pickle(path: Path, rest_joints: Tensor, _reading: Reading) -> list[Motion]:
+    return read_humanact(path, rest_joints)
 
 
 # By what a file holds, see `kind_of`.
@@ -53,13 +65,16 @@ READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {
     "npz": read_one_amass,
     "glb": read_one_glb,
     "gltf": read_one_glb,
+    "npy": read_one_npy,
+    "pickle": read_one_pickle,
 }
-READ_SUFFIXES = (".bvh", ".npz", ".glb", ".gltf")
+READ_SUFFIXES = (".bvh", ".npz", ".glb", ".gltf", ".npy")
 # By suffix.
 WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
     ".bvh": lambda path, motion, body: write_bvh(path, motion, body.rest_joints),
     ".npz": lambda path, motion, _body: write_amass(path, motion),
     ".glb": write_glb,
+    ".npy": write_joints,
 }
 SUFFIXES = tuple(WRITERS)
 KNOWN = f"known are {' and '.join(SUFFIXES)}"

@@ -21,7 +21,7 @@ from refine.inverse_kinematics import Fit, fit_joints
 from refine.joint_layouts import LAYOUTS
 from refine.motion import Motion
 from renderers.body import Body
-from renderers.checks import UserError, check_finite, check_shapes
+from renderers.checks import UserError, check_finite, check_known, check_shapes
 from renderers.outputs import replacing
 from renderers.rotations import rotation_about
 
@@ -31,17 +31,19 @@ STRETCHED = 0.2  # bones that change their lengths by more are those of no body
 REMEDY = "give positions [frames joints 3] of 24 (SMPL), 22 (HumanML3D) or 21 (KIT) joints, or features of 263 or 251"
 
 
-def read_joints(path: str | Path, rest_joints: Tensor, fps: float | None = None, label: str = "") -> Fit:
+def read_joints(path: str | Path, rest_joints: Tensor, fps: float | None = None, up: str = "y", label: str = "") -> Fit:
     """Read positions [T J 3], or features [T 263] or [T 251], and fit a body with the T-pose joints [24 3] to them.
 
     J of more than 24 are taken for SMPL-H's or SMPL-X's, whose first 22 are HumanML3D's.
 
     Args:
         fps: frame rate; none takes HumanML3D's 20, KIT's 12.5, or 30 for 24 joints.
+        up: the axis of the file that points up, "y" or "z" (then a body that faces -y is turned to face +z).
 
     Raises:
         UserError: the file is missing, unsafe, of another shape, or holds values that are not finite, or no body.
     """
+    check_known("--up", up, ("y", "z"))
     stored = read_npy(path, MAX_BYTES)
     if stored.dtype.kind not in "fiu":
         raise UserError(path, f"holds {stored.dtype}, not numbers", REMEDY)
@@ -55,6 +57,8 @@ def read_joints(path: str | Path, rest_joints: Tensor, fps: float | None = None,
         positions = torch.from_numpy(joints.astype(np.float64))
     else:
         raise UserError(path, f"has shape {list(stored.shape)}", REMEDY)
+    if up == "z":
+        positions = positions[..., [0, 2, 1]] * positions.new_tensor([1, 1, -1])
     fit = fit_joints(positions, rest_joints, fps, label=label, source=str(path))
     if fit.stretch > STRETCHED:
         problem = f"holds no body: its bones change their lengths by {fit.stretch:.0%}"
