@@ -10,6 +10,7 @@ from torch import Tensor
 from refine.formats.actor import read_humanact
 from refine.formats.amass import read_amass, write_amass
 from refine.formats.bvh import read_bvh, write_bvh
+from refine.formats.fbx import blender_python, write_fbx
 from refine.formats.glb import write_glb
 from refine.formats.glb_read import read_glb
 from refine.formats.joints import read_joints, write_joints
@@ -74,6 +75,7 @@ WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
     ".bvh": lambda path, motion, body: write_bvh(path, motion, body.rest_joints),
     ".npz": lambda path, motion, _body: write_amass(path, motion),
     ".glb": write_glb,
+    ".fbx": write_fbx,
     ".npy": write_joints,
 }
 SUFFIXES = tuple(WRITERS)
@@ -126,6 +128,8 @@ def check_suffix(path: str | Path) -> None:
     """Refuse, before any work is done, a name that :func:`save_motion` would refuse after it."""
     if Path(path).suffix.lower() not in WRITERS:
         raise UserError(path, f"no motion format has the suffix '{Path(path).suffix}'", KNOWN)
+    if Path(path).suffix.lower() == ".fbx":
+        blender_python()
 
 
 def label_from_name(path: str | Path, pattern: re.Pattern[str] | None = None) -> str:

@@ -175,8 +175,10 @@ def _rotations(file: Gltf, rig: Rig, transforms: Tensor) -> Tensor:
 
 
 def _label(animation: Mapping[str, Any], extras: Mapping[str, Any]) -> str:
-    label = extras.get("label", animation.get("name"))
-    return "" if not isinstance(label, str) or label.strip().lower() in UNNAMED else label
+    label, name = extras.get("label"), animation.get("name")
+    if isinstance(label, str):
+        return label
+    return name if isinstance(name, str) and name.strip().lower() not in UNNAMED else ""
 
 
 def _performer(extras: Mapping[str, Any]) -> tuple[str, Tensor | None]:

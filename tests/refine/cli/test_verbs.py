@@ -309,7 +309,7 @@ def test_outputs_that_are_there_are_refused_before_any_work(clips, tmp_path, cap
     ("arguments", "said"),
     [
         (["compose", "wlk", "wave-left-hand", "-o", "a.bvh"], "unknown name 'wlk'; did you mean walk"),
-        (["compose", "walk", "squat", "-o", "a.fbx"], "a.fbx: no motion format has the suffix '.fbx'"),
+        (["compose", "walk", "squat", "-o", "a.fbm"], "a.fbm: no motion format has the suffix '.fbm'"),
         (["compose", "walk", "squat", "-o", "a.bvh", "--lam", "2"], "--lam: expected a weight between 0 and 1, got 2"),
         (["compose", "walk", "squat", "-o", "a.bvh", "--steps", "-1"], "--steps: expected 0 or more"),
         (["compose", "walk", "squat", "-o", "a.bvh", "--mae", "none.safetensors"], "none.safetensors: no such file"),

@@ -69,11 +69,11 @@ def test_a_write_that_fails_leaves_the_old_file(tmp_path, motion, monkeypatch, f
 
 
 def test_an_unknown_suffix_lists_the_known_ones(tmp_path, motion, free_body):
-    message = re.escape("a.fbx: no motion format has the suffix '.fbx'; known are .bvh and .npz")
+    message = re.escape("a.fbm: no motion format has the suffix '.fbm'; known are .bvh and .npz")
     with pytest.raises(UserError, match=message):
-        save_motion(motion, tmp_path / "a.fbx", free_body)
+        save_motion(motion, tmp_path / "a.fbm", free_body)
     with pytest.raises(UserError, match=message):
-        check_suffix("a.fbx")
+        check_suffix("a.fbm")
     assert not list(tmp_path.iterdir())
 
 
