@@ -27,6 +27,9 @@ class UserError(Exception):
         self.where, self.problem, self.remedy = str(where), problem, remedy
         super().__init__(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
 
+    def __reduce__(self):
+        return type(self), (self.where, self.problem, self.remedy)
+
 
 class ShapeError(UserError):
     """A tensor does not have the shape its name promises."""

@@ -24,8 +24,8 @@ class DataConfig:
     """Which clips, which pairs, which windows."""
 
     source: str = "synthetic"
-    """The built-in actions, a file that `refine data import` wrote, or a folder that `refine data benchmark` wrote,
-    whose training clips are learned."""
+    """The built-in actions, a file or folder that `refine data import` wrote, or a folder that `refine data benchmark`
+    wrote, whose training clips are learned."""
     actions: tuple[str, ...] = ()
     """Labels to use; none means all there are."""
     lower: tuple[str, ...] = ()
@@ -182,7 +182,9 @@ def open_source(config: DataConfig, rest_joints: Tensor) -> Source:
         UserError: no such file or folder, a label that is not in it, nothing left, or a frame rate or length that is
             not the benchmark's.
     """
-    if Path(config.source).is_dir():
+    from refine.formats.clips import is_shards, load_clips
+
+    if Path(config.source).is_dir() and not is_shards(config.source):
         from train.benchmarks import load_benchmark
 
         benchmark = load_benchmark(Path(config.source))
@@ -195,12 +197,7 @@ def open_source(config: DataConfig, rest_joints: Tensor) -> Source:
         clips = chosen(benchmark.clips("train"), config)
         return Source(config, clips, benchmark.pairs, benchmark.lower, benchmark.upper, benchmark.hash)
     config = settled(config)
-    if config.source == "synthetic":
-        motions = perform_all(config, rest_joints)
-    else:
-        from refine.formats.clips import load_clips
-
-        motions = load_clips(Path(config.source))
+    motions = perform_all(config, rest_joints) if config.source == "synthetic" else load_clips(config.source)
     return Source(config, chosen(motions, config))
 
 

@@ -10,7 +10,8 @@ import torch
 from torch import Tensor
 
 from refine.formats.actor import UESTC_TRAIN_SUBJECTS, is_humanact, is_uestc, read_humanact, read_uestc, video_of
-from refine.formats.clips import import_folder, load_clips
+from refine.formats.clips import is_shards, load_clips
+from refine.formats.importing import import_folder
 from refine.motion import Motion, resample
 from refine.recogniser import OTHER
 from refine.synthetic import draw, perform, perform_together
@@ -117,7 +118,7 @@ def read_source(
     progress: Callable[[Sequence[Any]], Iterable[Any]] = iter,
     label_pattern: str | None = None,
 ) -> Read:
-    """Clips from a folder of motion files, a packed file, or one of ACTOR's packages.
+    """Clips from a folder of motion files, packed clips, or one of ACTOR's packages.
 
     Args:
         labels: of UESTC, the actions to read; none means all.
@@ -132,7 +133,7 @@ def read_source(
     if is_uestc(path):
         wanted = {"labels": labels} if labels else {}
         return Read(read_uestc(path, rest_joints, front_only=front_only, progress=progress, **wanted), [])
-    if path.is_dir():
+    if path.is_dir() and not is_shards(path):
         imported = import_folder(path, rest_joints, label_pattern, progress)
         return Read(imported.motions, imported.refused)
     return Read(load_clips(path), [])

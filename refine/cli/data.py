@@ -8,62 +8,70 @@ from tyro.conf import Positional, arg
 
 from renderers.checks import UserError
 
+NAMED = 40  # clips that are left out and named one by one
+
 
 @dataclass(frozen=True)
 class ImportData:
-    """Read a folder of motion files, put them on SMPL's joints and pack them into one file.
+    """Read motion files, put them on SMPL's joints and pack them: into one file, or for many into a folder of files.
 
-    Labels come from the file names. A file that cannot be read is left out and named on stderr. ACTOR's packages are
-    read as well: the file humanact12poses.pkl, and the folder uestc, which needs --labels, being large.
+    Labels come from the file names, or from a CSV table that may cut a file into pieces. What cannot be read, holds
+    NaN, or is to the last bit another clip of the same label is left out and named on stderr. ACTOR's packages are read
+    as well: the file humanact12poses.pkl, and the folder uestc, which needs --labels, being large.
 
     Example: refine data import clips --out clips.npz
     """
 
-    folder: Positional[Path]
-    """Folder that is searched, with its subfolders, for .bvh and .npz files; or one of ACTOR's packages."""
+    source: Positional[Path]
+    """Folder that is searched, with its subfolders, for motion files; or packed clips, or one of ACTOR's packages."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """Packed file to write, .npz."""
+    """Packed file to write, .npz; or a folder, for more than a gigabyte."""
     label_pattern: str | None = None
     """Regular expression for a whole file name without suffix, with a group (?P<label>...)."""
+    labels_file: Path | None = None
+    """CSV table with the headings file,label and, to cut files into pieces, start,end in seconds or
+    start_frame,end_frame; files that it does not name are left out."""
     labels: tuple[str, ...] = ()
     """Keep only clips with these labels; none means all."""
+    unit: Literal["m", "cm", "mm", "in"] | None = None
+    """Unit of length; none guesses it from the height of the body, file by file."""
+    fps: float | None = None
+    """Frame rate, for files that have none."""
+    mapping: Path | None = None
+    """JSON file that says which joint is which, as `refine data inspect --mapping` writes it."""
+    workers: int | None = None
+    """Processes that read; none means one a core for many files. The result does not depend on it."""
     force: bool = False
-    """Replace the file if it is there."""
+    """Replace what is there."""
     seed: int = 0
     """Taken by every verb; importing draws nothing."""
 
     def run(self) -> None:
-        from collections import Counter
         from functools import partial
 
         from tqdm import tqdm
 
         from refine.cli.inputs import body_of, say
-        from refine.formats.actor import is_humanact
-        from refine.formats.clips import save_clips
-        from renderers.checks import check_known
+        from refine.formats.files import Reading
+        from refine.formats.importing import ImportConfig, import_clips
         from renderers.outputs import refuse_existing
-        from train.recipes import read_source
 
-        if not self.folder.is_dir() and not is_humanact(self.folder):
-            raise UserError(self.folder, "is not a folder", "give a folder of motion files")
-        if self.out.suffix != ".npz":
-            raise UserError(self.out, "packed clips are an .npz file", "end its name in .npz")
-        refuse_existing(self.out, self.force)
-        progress = partial(tqdm, desc="import", disable=None, leave=False)
-        imported = read_source(
-            self.folder, body_of(None).rest_joints, self.labels, progress=progress, label_pattern=self.label_pattern
-        )
-        for error in imported.refused:
+        if self.out.suffix[1:].isalpha() and self.out.suffix.lower() != ".npz":
+            raise UserError(self.out, "packed clips are an .npz file, or a folder", "end its name in .npz, or in none")
+        refuse_existing(self.out, self.force, folder=self.out.suffix.lower() != ".npz")
+        reading = Reading(self.unit, self.fps, self.mapping)
+        config = ImportConfig(self.label_pattern, self.labels_file, self.labels, reading, self.workers)
+        progress = partial(tqdm, desc="import", unit="file", disable=None, leave=False)
+        done = import_clips(self.source, self.out, body_of(None).rest_joints, config, progress)
+        for error in done.refused[:NAMED]:
             say(f"refine: left out {error}")
-        for label in self.labels:
-            check_known(self.folder, label, sorted({motion.label for motion in imported.motions}))
-        motions = [motion for motion in imported.motions if not self.labels or motion.label in self.labels]
-        save_clips(self.out, motions)
-        counts = Counter(motion.label for motion in motions)
-        for label, count in sorted(counts.items()):
+        if len(done.refused) > NAMED:
+            say(f"refine: and {len(done.refused) - NAMED:,} more, {len(done.refused):,} in all")
+        if done.unlabelled:
+            say(f"refine: left out {done.unlabelled:,} files that {self.labels_file} does not name")
+        for label, count in done.labels.items():
             print(f"{count:5d}  {label}")
-        print(f"{self.out}  {len(motions)} clips, {sum(map(len, motions)):,} frames")
+        print(f"{self.out}  {done.clips:,} clips, {done.frames:,} frames")
 
 
 @dataclass(frozen=True)

@@ -10,6 +10,7 @@ from torch import Tensor
 from refine.formats.actor import read_humanact
 from refine.formats.amass import read_amass, write_amass
 from refine.formats.bvh import read_bvh, write_bvh
+from refine.formats.clips import is_packed, load_clips
 from refine.formats.fbx import blender_python, write_fbx
 from refine.formats.glb import write_glb
 from refine.formats.glb_read import read_glb
@@ -44,8 +45,8 @@ def read_one_bvh(path: Path, rest_joints: Tensor, reading: Reading) -> list[Moti
     return [retarget(read_bvh(path, reading.unit), rest_joints)]
 
 
-def read_one_amass(path: Path, _rest_joints: Tensor, reading: Reading) -> list[Motion]:
-    return [read_amass(path, reading.up or "z", reading.fps)]
+def read_one_npz(path: Path, _rest_joints: Tensor, reading: Reading) -> list[Motion]:
+    return load_clips(path) if is_packed(path) else [read_amass(path, reading.up or "z", reading.fps)]
 
 
 def read_one_glb(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
@@ -63,7 +64,7 @@ def read_one_pickle(path: Path, rest_joints: Tensor, _reading: Reading) -> list[
 # By what a file holds, see `kind_of`.
 READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {
     "bvh": read_one_bvh,
-    "npz": read_one_amass,
+    "npz": read_one_npz,
     "glb": read_one_glb,
     "gltf": read_one_glb,
     "npy": read_one_npy,

@@ -340,7 +340,7 @@ def test_outputs_that_are_there_are_refused_before_any_work(clips, tmp_path, cap
         (["render", "walk", "-o", "a.jpg"], "a.jpg: unknown picture format; end it in .png, .gif or .mp4"),
         (["render", "walk", "-o", "a.png", "--size", "1"], "size must be 32 to 2160"),
         (["demo", "--actions", "walk", "fly"], "unknown name 'fly'"),
-        (["data", "import", "nowhere", "--out", "a.npz"], "nowhere: is not a folder"),
+        (["data", "import", "nowhere", "--out", "a.npz"], "nowhere: does not exist"),
         (["generate", "--actions", "walk", "--model", "nowhere", "-o", "a"], "nowhere"),
         (["generate", "--actions", "walk", "--model", "m", "-o", "a", "-n", "0"], "-n: expected 1 to 1000, got 0"),
     ],
