@@ -135,7 +135,7 @@ def kind_of_start(start: bytes) -> str:
     if start[8:9] == b"{" and start[3:8] == bytes(5):  # the length of its header comes first
         return "safetensors"
     text = start.removeprefix(BOM).lstrip()
-    if text[:9].upper() == b"HIERARCHY" and not text[9:10].isalnum():
+    if text[:9].upper() == b"HIERARCHY" and not text[9:10].isalnum() and b"\0" not in text:
         return "bvh"
     if text[:1] in (b"{", b"["):
         return "gltf" if b'"asset"' in text else "json"
