@@ -6,7 +6,7 @@ The frame rate of HumanAct12 is not stored; it is taken as HumanML3D has it.
 """
 
 import re
-from collections.abc import Callable, Collection, Iterable, Sequence
+from collections.abc import Callable, Collection, Iterable, Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -49,6 +49,7 @@ UESTC_TRAIN_SUBJECTS = frozenset((
 ))  # fmt: skip
 UESTC_VIDEO = re.compile(r"a(?P<action>\d+)_d(?P<view>\d+)_p(?P<subject>\d+)_c(?P<camera>\d+)_color\.avi")
 UESTC_BYTES = 1 << 35  # 25,600 clips of some 350 frames
+SPLITS = ("train", "test")
 ROUND = 8  # the view in which the second camera goes round
 PELVIS = 8  # the middle of the hips among VIBE's 49 joints
 FOCAL_LENGTH, PICTURE = 500.0, 540.0  # pixels, as ACTOR assumes them
@@ -101,7 +102,20 @@ def read_uestc(
     labels: Collection[str] = UESTC_ACTIONS,
     front_only: bool = False,
     progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+    split: str | None = None,
 ) -> list[Motion]:
+    """All clips of :func:`uestc_clips` at once."""
+    return list(uestc_clips(folder, rest_joints, labels, front_only, progress, split))
+
+
+def uestc_clips(
+    folder: str | Path,
+    rest_joints: Tensor,
+    labels: Collection[str] = UESTC_ACTIONS,
+    front_only: bool = False,
+    progress: Callable[[Sequence[int]], Iterable[int]] = iter,
+    split: str | None = None,
+) -> Iterator[Motion]:
     """Read ACTOR's UESTC folder: ``info/names.txt``, ``info/num_frames_min.txt`` and ``vibe_cache_refined.pkl``.
 
     The first camera sees everyone from the front; what the second sees is turned to the front by its view. Its eighth
@@ -112,9 +126,10 @@ def read_uestc(
         labels: actions to read.
         front_only: the first camera alone.
         progress: wraps the list of videos that are read, as ``tqdm`` does.
+        split: "train" or "test", the subjects of one side alone, see :func:`split_of`; none means both.
 
     Returns:
-        Clips in the order of the names, which are their sources; `video_of` reads them.
+        Clips one after the other, in the order of the names, which are their sources; `video_of` reads them.
 
     Raises:
         UserError: a file is missing, damaged, holds code or something else, or a value is not finite.
@@ -122,30 +137,44 @@ def read_uestc(
     folder = Path(folder)
     for label in labels:
         check_known(folder, label, UESTC_ACTIONS)
+    if split is not None:
+        check_known(folder, split, SPLITS)
     names, limits = _lines(folder / UESTC_NAMES), _lines(folder / UESTC_LENGTHS)
     videos = [video_of(name) for name in names]
     wanted = [
         index
         for index, video in enumerate(videos)
-        if video.action in labels and (video.camera == 1 or not (front_only or video.view == ROUND))
+        if video.action in labels
+        and (video.camera == 1 or not (front_only or video.view == ROUND))
+        and (split is None or split_of(video) == split)
     ]
     path = folder / UESTC_POSES
     poses, cameras, joints = _dictionary(path, read_pickle(path, UESTC_BYTES), ("pose", "orig_cam", "joints3d"))
     if not len(names) == len(limits) == len(poses):
         problem = f"holds {len(poses)} clips for {len(names)} names and {len(limits)} lengths"
         raise UserError(path, problem, REMEDY)
-    motions = []
     for index in progress(wanted):
         video, where = videos[index], f"{path}, {names[index]}"
-        if not limits[index].strip().isdecimal():
-            raise UserError(f"{folder / UESTC_LENGTHS}, line {index + 1}", f"is no number: {limits[index]!r}", REMEDY)
+        if not re.fullmatch(r"[0-9]{1,9}", limits[index].strip()):
+            raise UserError(
+                f"{folder / UESTC_LENGTHS}, line {index + 1}", f"is no number: {limits[index][:40]!r}", REMEDY
+            )
         arrays = {"pose": (poses[index], "T 72"), "orig_cam": (cameras[index], "T 4")}
         pose, camera, joint = _arrays(where, **arrays, joints3d=(joints[index], "T 49 3"))
         frames = min(len(pose), int(limits[index]))
         root = (joint[:, PELVIS] + travel(camera, joint))[:frames]
         turn = _turn(video)
-        motions.append(_motion(pose[:frames], root, UESTC_FPS, video.action, names[index], rest_joints, turn))
-    return motions
+        yield _motion(pose[:frames], root, UESTC_FPS, video.action, names[index], rest_joints, turn)
+
+
+def split_of(video: Video | str) -> str:
+    """ACTOR's side of a video, or of the name of one: "train" for its 51 subjects, "test" for the other 67.
+
+    Raises:
+        UserError: it is not the name of a UESTC video.
+    """
+    video = video if isinstance(video, Video) else video_of(video)
+    return "train" if video.subject in UESTC_TRAIN_SUBJECTS else "test"
 
 
 def video_of(name: str) -> Video:

@@ -16,7 +16,9 @@ from refine.formats.actor import (
     is_uestc,
     read_humanact,
     read_uestc,
+    split_of,
     travel,
+    uestc_clips,
     video_of,
 )
 from renderers.checks import UserError
@@ -164,6 +166,32 @@ def test_the_round_view_of_the_second_camera_is_left_out(tmp_path, rest_joints):
     ]
 
 
+def test_subjects_tell_the_split(tmp_path, rest_joints):
+    """Of the names above subjects 1 and 113 train and subject 3 tests."""
+    assert [split_of(name) for name in NAMES] == ["test", "test", "train", "train", "train"]
+    assert split_of(video_of(NAMES[0])) == "test"
+    uestc(tmp_path, NAMES)
+    sides = {
+        side: [clip.source for clip in read_uestc(tmp_path, rest_joints, split=side)] for side in ("train", "test")
+    }
+    assert sides == {"train": [NAMES[2], NAMES[4]], "test": NAMES[:2]}
+    both = read_uestc(tmp_path, rest_joints, labels=["punching"], split="train")
+    assert [clip.source for clip in both] == [NAMES[2]]
+    with pytest.raises(UserError, match="unknown name 'val'; did you mean train, test"):
+        read_uestc(tmp_path, rest_joints, split="val")
+
+
+def test_clips_come_one_at_a_time(tmp_path, rest_joints):
+    """A clip that is broken stops the reading where it stands, and those before it are there."""
+    stored = uestc(tmp_path, NAMES[:3])
+    stored["pose"][2][0, 0] = np.nan
+    (tmp_path / "vibe_cache_refined.pkl").write_bytes(pickle.dumps(stored, protocol=2))
+    clips = uestc_clips(tmp_path, rest_joints)
+    assert [next(clips).source, next(clips).source] == NAMES[:2]
+    with pytest.raises(UserError, match="value nan"):
+        next(clips)
+
+
 def test_lengths_are_those_of_the_shorter_count(tmp_path, rest_joints):
     uestc(tmp_path, NAMES[:1], frames=6, limit=4)
     assert len(read_uestc(tmp_path, rest_joints)[0]) == 4
@@ -224,6 +252,9 @@ def test_missing_and_broken_lists_are_named(tmp_path, rest_joints):
     lengths = tmp_path / "info" / "num_frames_min.txt"
     lengths.write_text("100\nmany\n")
     with pytest.raises(UserError, match=r"num_frames_min.txt, line 2: is no number: 'many'"):
+        read_uestc(tmp_path, rest_joints)
+    lengths.write_text(f"100\n{'9' * 5000}\n")
+    with pytest.raises(UserError, match=r"num_frames_min.txt, line 2: is no number: '999"):
         read_uestc(tmp_path, rest_joints)
     lengths.write_text("100\n")
     with pytest.raises(UserError, match="holds 2 clips for 2 names and 1 lengths"):
