@@ -9,6 +9,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass
 from functools import cached_property
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -203,7 +204,13 @@ def write(folder: Path, judgement: Judgement) -> None:
     heading = f"Silhouettes beside Mitsuba's: {judgement.subject}"
     page = [f"# {heading}", tables(judgement), explanation(judgement.samples), judgement.gradients]
     (folder / "table.md").write_text("\n\n".join(page) + "\n")
-    numbers = {
+    (folder / "check.json").write_text(json.dumps(numbers(judgement), indent=1))
+    save_png(folder / "sheet.png", sheet(judgement, heading))
+
+
+def numbers(judgement: Judgement) -> dict[str, Any]:
+    """All of it, as JSON knows it."""
+    return {
         "agrees": judgement.agrees,
         "subject": judgement.subject,
         "poses": list(judgement.names),
@@ -212,8 +219,6 @@ def write(folder: Path, judgement: Judgement) -> None:
         "gradients": [asdict(of) | {"agrees": of.agrees} for of in judgement.slopes],
         "gradients_by": judgement.gradients,
     }
-    (folder / "check.json").write_text(json.dumps(numbers, indent=1))
-    save_png(folder / "sheet.png", sheet(judgement, heading))
 
 
 def tables(judgement: Judgement) -> str:

@@ -6,6 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
 if TYPE_CHECKING:
@@ -37,7 +38,7 @@ class CheckRenderer:
     out: Annotated[Path, arg(aliases=["-o"])]
     """Folder to write; replaced as a whole with --force."""
     motion: Positional[str | None] = None
-    """A .bvh or .npz file, or the name of a built-in action; None takes sixteen still poses."""
+    """A motion file, - for standard input, or the name of a built-in action; none takes sixteen still poses."""
     size: tuple[int, ...] = (64, 112, 224)
     """Sides of the images in pixels."""
     poses: int = 16
@@ -52,12 +53,13 @@ class CheckRenderer:
     """Replace the folder if something is in it."""
     seed: int = 0
     """Of a built-in action, and of Mitsuba's rays."""
+    output: Printed = AS_LINES
 
-    def run(self) -> int:
+    def run(self) -> Result:
         from math import ceil, sqrt
 
         from refine.cli.inputs import bar, body_of
-        from renderers.judging import Judgement, compare, steps, tables, write
+        from renderers.judging import Judgement, compare, numbers, steps, tables, write
         from renderers.mesh import Mesh
         from renderers.outputs import refuse_existing, replacing_folder
         from renderers.raster_mitsuba import find_llvm
@@ -93,8 +95,9 @@ class CheckRenderer:
         )
         with replacing_folder(self.out) as partial:
             write(partial, judgement)
-        print(tables(judgement), judgement.gradients, self.out / "sheet.png", sep="\n\n")
-        return 0 if judgement.agrees else 1
+        said = "\n\n".join([tables(judgement), judgement.gradients, str(self.out / "sheet.png")])
+        files = tuple(self.out / name for name in ("sheet.png", "table.md", "check.json"))
+        return Result(said, files, numbers(judgement), 0 if judgement.agrees else 1)
 
     def _posed(self, body: "Body") -> "tuple[list[str], Tensor, Tensor]":
         """Names of the poses, their rotations [N 24 3 3] and roots [N 3]."""

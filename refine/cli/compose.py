@@ -2,11 +2,15 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 from tyro.conf import Positional, arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
+
+if TYPE_CHECKING:
+    from refine.composition import Composition
 
 
 @dataclass(frozen=True)
@@ -16,14 +20,15 @@ class Compose:
     Both run from their first frame, at A's frame rate, for as long as the shorter of them.
 
     Example: refine compose walk.bvh wave.bvh -o both.bvh --report pictures
+    Example: refine compose - wave-left-hand -o - < walk.bvh > both.bvh
     """
 
     a: Positional[str]
-    """First clip: a .bvh or .npz file, or the name of a built-in action."""
+    """First clip: a motion file, - for standard input, or the name of a built-in action."""
     b: Positional[str]
     """Second clip."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """File to write, .bvh or .npz."""
+    """File to write, its format by its suffix (.bvh, .npz and more); - writes BVH to standard output, -.npz another."""
     lam: float = 0.5
     """Share of A where both move alike, 0 to 1."""
     steps: int | None = None
@@ -39,20 +44,28 @@ class Compose:
     """Replace outputs that are already there."""
     seed: int = 0
     """Of the frames that refinement draws, and of built-in actions."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
-        from refine.cli.inputs import bar, body_of, check_lam, judge_of, pair_of, refinement_of
+    def run(self) -> Result:
+        from refine.cli.inputs import (
+            bar,
+            body_of,
+            check_lam,
+            check_motion_output,
+            judge_of,
+            output_path,
+            pair_of,
+            refinement_of,
+        )
         from refine.composition import Composition, compose
         from refine.coupling import couple
-        from refine.formats.files import check_suffix, save_motion
-        from refine.report import losses, write_report
-        from refine.stages import answers_for
+        from refine.formats.files import save_motion
+        from refine.report import write_report
         from renderers.outputs import refuse_existing, replacing_folder
 
-        check_suffix(self.out)
         check_lam(self.lam)
         config = refinement_of(self.steps, self.seed)
-        refuse_existing(self.out, self.force)
+        check_motion_output(self.out, self.force)
         if self.report:
             if self.out in (self.report, *self.report.parents):
                 raise UserError(self.report, f"cannot be a folder while {self.out} is a file", "give --report another")
@@ -69,13 +82,27 @@ class Compose:
         if self.report:  # before the motion, which may be wanted in the very folder that is replaced here
             with replacing_folder(self.report) as partial:
                 write_report(partial, composition, body_of(self.body, "full"))
-        save_motion(composition.motion, self.out, body, force=True)
-        print(f"{self.out}  {len(composition.motion)} frames at {composition.motion.fps:g} fps")
-        traces = composition.traces().items()
+        with output_path(self.out) as path:
+            save_motion(composition.motion, path, body, force=True)
+        return self._result(composition)
+
+    def _result(self, composition: "Composition") -> Result:
+        from refine.report import losses
+        from refine.stages import answers_for
+
+        motion, traces = composition.motion, composition.traces()
+        values: dict[str, Any] = {"made": composition.made, "frames": len(motion), "fps": motion.fps}
+        lines, files = [f"{self.out}  {len(motion)} frames at {motion.fps:g} fps"], [self.out]
         if traces:
-            print("decoupling loss ", ", ".join(f"{losses(trace)['total']:.6f} {name}" for name, trace in traces))
-            references = next(iter(composition.traces().values())).references
+            values["decoupling_loss"] = {name: losses(trace)["total"] for name, trace in traces.items()}
+            totals = (f"{loss:.6f} {name}" for name, loss in values["decoupling_loss"].items())
+            lines.append("decoupling loss  " + ", ".join(totals))
+            references = next(iter(traces.values())).references
             for name, reference in zip(("A", "B"), references, strict=True):
-                print(f"{name}{answers_for(reference.owned.answers[0]).removeprefix(',')}")
+                owned = answers_for(reference.owned.answers[0]).removeprefix(", ")
+                lines.append(f"{name} {owned}".strip())
+                values[name.lower()] = owned
         if self.report:
-            print(self.report / "report.html")
+            lines.append(str(self.report / "report.html"))
+            files.append(self.report / "report.html")
+        return Result("\n".join(lines), tuple(files), values)

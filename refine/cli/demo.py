@@ -6,9 +6,11 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError, check_known
 
 FPS, FILM_FPS, FILM_SIZE = 30.0, 15.0, (300, 250)
+PRINTED_FILES = ("report.html", "motions.png", "film.mp4", "composition.bvh", "report.json")
 
 
 @dataclass(frozen=True)
@@ -33,8 +35,9 @@ class Demo:
     """Replace the folder if something is in it."""
     seed: int = 0
     """Of the actions and of refinement."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result:
         import time
 
         import torch
@@ -77,9 +80,13 @@ class Demo:
             save_mp4(partial / "film.mp4", pictures, FILM_FPS)
             save_motion(composition.motion, partial / "composition.bvh", body)
 
-        print(f"{' + '.join(self.actions)}, {frames} frames, {time.monotonic() - started:.0f} s")
+        seconds, loss = time.monotonic() - started, report["decoupling_loss"]
+        lines = [f"{' + '.join(self.actions)}, {frames} frames, {seconds:.0f} s"]
         for name in made:
-            loss = report["decoupling_loss"][name]["total"]
-            print(f"{name}: decoupling loss {loss:.6f}, {error[name] * 100:.2f} cm from the true composition")
-        for name in ("report.html", "motions.png", "film.mp4", "composition.bvh", "report.json"):
-            print(self.out / name)
+            lines.append(
+                f"{name}: decoupling loss {loss[name]['total']:.6f}, "
+                f"{error[name] * 100:.2f} cm from the true composition"
+            )
+        files = [self.out / name for name in PRINTED_FILES]
+        values = {"actions": self.actions, "frames": frames, "decoupling_loss": loss, **extra}
+        return Result("\n".join([*lines, *map(str, files)]), tuple(files), values)

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
 
@@ -23,7 +24,7 @@ class Evaluate:
     """
 
     what: Positional[tuple[Path, ...]]
-    """Run folder of `refine train generator`; with --table, evaluations (.json)."""
+    """Run folder of `refine train generator`; with --table, evaluations (.json), or quoted patterns of their names."""
     benchmark: Path | None = None
     """Folder of the benchmark."""
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
@@ -42,18 +43,19 @@ class Evaluate:
     force: bool = False
     """Replace the files if they are there."""
     seed: int = 0
+    """Of the motions that are drawn."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result:
         if self.table:
-            self.tabulate()
-        elif self.against is not None:
+            return self.tabulate()
+        if self.against is not None:
             raise UserError("--against", "compares rows of a table", "give it with --table and evaluations")
-        elif len(self.what) != 1 or self.benchmark is None:
+        if len(self.what) != 1 or self.benchmark is None:
             raise UserError("refine evaluate", "takes one run and its --benchmark", "for several use --table")
-        else:
-            self.measure(self.what[0], self.benchmark)
+        return self.measure(self.what[0], self.benchmark)
 
-    def measure(self, run: Path, folder: Path) -> None:
+    def measure(self, run: Path, folder: Path) -> Result:
         from renderers.outputs import refuse_existing
         from train.benchmarks import load_benchmark
         from train.checkpoints import replace_file
@@ -72,10 +74,10 @@ class Evaluate:
         table = evaluation_table(evaluation)
         save_evaluation(out, evaluation)
         replace_file(out.with_suffix(".md"), table.encode())
-        print(table)
-        print(out)
+        return Result(f"{table}\n{out}", (out, out.with_suffix(".md")), {"evaluation": evaluation.to_json()})
 
-    def tabulate(self) -> None:
+    def tabulate(self) -> Result:
+        from refine.cli.inputs import expand
         from renderers.outputs import refuse_existing
         from train.checkpoints import replace_file
         from train.tables import comparison_table, contrast_table, load_evaluation
@@ -86,7 +88,7 @@ class Evaluate:
             raise UserError(self.out, "the table is a Markdown file", "end its name in .md")
         if self.out is not None:
             refuse_existing(self.out, self.force)
-        evaluations = [load_evaluation(path) for path in self.what]
+        evaluations = [load_evaluation(path) for path in expand(self.what)]
         parts = [comparison_table(evaluations)]
         if self.against is not None:
             rows = dict.fromkeys(each.row for each in evaluations)
@@ -94,4 +96,5 @@ class Evaluate:
         text = "\n".join(parts)
         if self.out is not None:
             replace_file(self.out, text.encode())
-        print(text)
+        values = {"evaluations": [each.to_json() for each in evaluations]}
+        return Result(text, (self.out,) if self.out else (), values)

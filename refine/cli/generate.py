@@ -7,6 +7,7 @@ from typing import Annotated
 
 from tyro.conf import arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
 MOST, DRAWN = 1000, 8  # motions made by one command, and how many of them are drawn
@@ -35,8 +36,9 @@ class Generate:
     """Replace the folder if something is in it."""
     seed: int = 0
     """Of the latent draws."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result:
         import torch
 
         from refine.cli.inputs import body_of
@@ -57,10 +59,13 @@ class Generate:
         )
         rows = [[row] for row in strip(motions[:DRAWN], body, height=180)]
         with replacing_folder(self.out) as partial:
-            for number, motion in enumerate(motions):
-                save_motion(motion, partial / f"{file_stem(motion.label)}_{number:03d}.bvh", body)
+            names = [f"{file_stem(motion.label)}_{number:03d}.bvh" for number, motion in enumerate(motions)]
+            for name, motion in zip(names, motions, strict=True):
+                save_motion(motion, partial / name, body)
             save_png(partial / "motions.png", contact_sheet(rows, title=" + ".join(self.actions)))
-        print(f"{self.out}  {len(motions)} motions of {self.seconds:g} s, drawn in motions.png")
+        said = f"{self.out}  {len(motions)} motions of {self.seconds:g} s, drawn in motions.png"
+        values = {"actions": self.actions, "seconds": self.seconds}
+        return Result(said, tuple(self.out / name for name in ("motions.png", *names)), values)
 
 
 def file_stem(label: str) -> str:

@@ -1,11 +1,17 @@
-"""What several verbs read alike: clips, bodies, the judge. Light to import."""
+"""What several verbs read alike: clips, bodies, the judge; standard input and output, patterns. Light to import."""
 
+import glob
+import os
+import shutil
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
+from dataclasses import replace
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
+from refine.cli.results import STDOUT, is_stdout, printable
 from renderers.checks import UserError, check_known
 
 if TYPE_CHECKING:
@@ -17,9 +23,109 @@ if TYPE_CHECKING:
     from renderers.body import Body
 
 
+STDIN = "-"  # in place of a motion file's name
+MAX_STDIN = 1 << 30  # bytes
+TEXT_SUFFIXES = (".bvh", ".json", ".obj", ".amc", ".csv", ".md", ".html")
+
+
 def say(message: str) -> None:
     """A line for the person who waits; results go to stdout, this goes to stderr."""
-    print(message, file=sys.stderr)
+    print(printable(message), file=sys.stderr)
+
+
+@contextmanager
+def input_path(name: str | Path) -> Iterator[Path]:
+    """The file of that name; for "-" a private copy of standard input, which is gone after the block.
+
+    Raises:
+        UserError: standard input is a terminal, empty (as it is the second time), or larger than `MAX_STDIN`.
+    """
+    if str(name) != STDIN:
+        yield Path(name)
+        return
+    stream = sys.stdin.buffer
+    if stream.isatty():
+        raise UserError("standard input", "is a terminal, not a file", "pipe a motion into it: refine ... - < walk.bvh")
+    with TemporaryDirectory(prefix="refine-") as folder:  # readable by its owner alone
+        path = Path(folder).resolve() / "stdin"
+        with path.open("wb") as copy:
+            size = 0
+            while block := stream.read(1 << 20):
+                size += copy.write(block)
+                if size > MAX_STDIN:
+                    raise UserError("standard input", f"has more than {MAX_STDIN} bytes", "give a file")
+        if not size:
+            raise UserError("standard input", "is empty", "pipe a motion into it; - can be read once")
+        yield path
+
+
+@contextmanager
+def output_path(out: Path, suffix: str = ".bvh") -> Iterator[Path]:
+    """The path to write an output to; for "-" a temporary one of that suffix, which goes to standard output then.
+
+    "-.npz" is standard output in that format. `refuse_output` comes before any work is done.
+    """
+    if not is_stdout(out):
+        yield out
+        return
+    with TemporaryDirectory(prefix="refine-") as folder:
+        path = Path(folder).resolve() / f"stdout{output_suffix(out, suffix)}"
+        yield path
+        sys.stdout.flush()
+        with path.open("rb") as made:
+            shutil.copyfileobj(made, sys.stdout.buffer)
+        sys.stdout.buffer.flush()
+
+
+def output_suffix(out: Path, suffix: str = ".bvh") -> str:
+    """The suffix that says an output's format, in small letters; ``suffix`` is that of plain standard output."""
+    if not is_stdout(out):
+        return out.suffix.lower()
+    return str(out).removeprefix(STDOUT).lower() or suffix
+
+
+def refuse_output(out: Path, force: bool, suffix: str = ".bvh") -> None:
+    """`renderers.outputs.refuse_existing` for a file, or standard output, which takes no bytes if it is a terminal."""
+    from renderers.outputs import refuse_existing
+
+    if not is_stdout(out):
+        refuse_existing(out, force)
+    elif output_suffix(out, suffix) not in TEXT_SUFFIXES and sys.stdout.isatty():
+        raise UserError(
+            "standard output", "is a terminal, and this format is no text", "send it to a file or a program"
+        )
+
+
+def check_motion_output(out: Path, force: bool) -> None:
+    """Refuse, before any work is done, where a motion cannot be written.
+
+    Raises:
+        UserError: no format has the suffix, or see `refuse_output`.
+    """
+    from refine.formats.files import check_suffix
+
+    check_suffix(f"standard output{output_suffix(out)}" if is_stdout(out) else out)
+    refuse_output(out, force)
+
+
+def expand(names: Sequence[str | Path]) -> list[Path]:
+    """Every name, with patterns (``*``, ``?``, ``[ab]``, ``**``) put in for what they match, in alphabetical order.
+
+    A shell does so unless a pattern is quoted, and some never do. A name that is there as it stands is no pattern.
+
+    Raises:
+        UserError: nothing matches a pattern.
+    """
+    found: list[Path] = []
+    for name in map(str, names):
+        if os.path.lexists(name) or not glob.has_magic(name):
+            found.append(Path(name))
+            continue
+        matches = sorted(glob.glob(os.path.expanduser(name), recursive=True))
+        if not matches:
+            raise UserError(name, "matches no file", "check the pattern")
+        found += map(Path, matches)
+    return found
 
 
 def body_of(path: Path | None, level: str = "light") -> "Body":
@@ -34,16 +140,22 @@ def body_of(path: Path | None, level: str = "light") -> "Body":
 
 
 def clip_of(name: str, rest_joints: "Tensor", seed: int = 0, seconds: float = 4.0) -> "Motion":
-    """A motion file, or a built-in action of that name.
+    """A motion file (a pattern that matches one, or - for standard input), or a built-in action of that name.
 
     Raises:
-        UserError: there is neither; the nearest names are offered.
+        UserError: there is neither; the nearest names are offered. Or the pattern matches several.
     """
     from refine.formats.files import load_motion
     from refine.synthetic import ACTIONS
 
-    if Path(name).exists() or Path(name).suffix:
-        return load_motion(name, rest_joints)
+    paths = expand([name])
+    if len(paths) > 1:
+        raise UserError(name, f"matches {len(paths)} files, and one is wanted", f"name one, such as {paths[0]}")
+    if name == STDIN:
+        with input_path(name) as path:
+            return replace(load_motion(path, rest_joints), source="standard input")
+    if os.path.lexists(paths[0]) or paths[0].suffix:
+        return load_motion(paths[0], rest_joints)
     check_known("neither a file nor a built-in action", name, ACTIONS)
     return built_in(name, rest_joints, seed, seconds)
 

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
 if TYPE_CHECKING:
@@ -25,9 +26,9 @@ class Render:
     """
 
     motion: Positional[str]
-    """A .bvh or .npz file, or the name of a built-in action."""
+    """A motion file, - for standard input, or the name of a built-in action."""
     out: Annotated[Path, arg(aliases=["-o"])]
-    """File to write, .png, .gif or .mp4."""
+    """File to write, .png, .gif or .mp4; - writes a PNG to standard output, -.gif another."""
     style: Literal["shaded", "parts", "silhouette"] = "shaded"
     """Shaded body, flat body parts, or the plain silhouette."""
     quality: bool = False
@@ -51,15 +52,15 @@ class Render:
     """Replace the file if it is there."""
     seed: int = 0
     """Of a built-in action."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
-        from refine.cli.inputs import bar, body_of, clip_of
+    def run(self) -> Result:
+        from refine.cli.inputs import bar, body_of, clip_of, output_path, output_suffix, refuse_output
         from refine.drawing import BORDER, YAW, film, strip, strobe
         from renderers.images import save_gif, save_mp4, save_png
-        from renderers.outputs import refuse_existing
         from renderers.shade import shade
 
-        suffix = self.out.suffix.lower()
+        suffix = output_suffix(self.out, ".png")
         if suffix not in (".png", ".gif", ".mp4"):
             raise UserError(self.out, "unknown picture format", "end it in .png, .gif or .mp4")
         if not (32 <= self.size <= 2160 and 1 <= self.poses <= 60 and 1 <= self.fps <= 120):
@@ -71,23 +72,24 @@ class Render:
                 raise UserError(flag, f"draws still pictures, not {suffix}", "end the output in .png")
             if asked and self.style != "shaded":
                 raise UserError(flag, f"draws shaded bodies, not {self.style}", "leave --style out")
-        refuse_existing(self.out, self.force)
+        refuse_output(self.out, self.force, ".png")
         body = body_of(self.body, "full")
         motion = clip_of(self.motion, body.rest_joints, self.seed)
         yaw = YAW if self.yaw is None else self.yaw
         draw, border = (in_studio, BORDER) if self.quality else (shade, 0.0)
-        if self.strobe:
-            save_png(self.out, strobe(motion, body, self.poses, self.size, self.yaw, draw))
-        elif suffix == ".png":
-            [picture] = strip([motion], body, self.poses, self.size, yaw, self.style, draw, border)
-            save_png(self.out, picture)
-        else:
-            size = (self.size, round(self.size * 0.85))
-            with bar(round(motion.seconds * self.fps), "draw") as progress:
-                moments = film([motion], body, size, self.fps, yaw, self.style, progress)
-            save = save_gif if suffix == ".gif" else save_mp4
-            save(self.out, [picture for [picture] in moments], self.fps)
-        print(self.out)
+        with output_path(self.out, ".png") as path:
+            if self.strobe:
+                save_png(path, strobe(motion, body, self.poses, self.size, self.yaw, draw))
+            elif suffix == ".png":
+                [picture] = strip([motion], body, self.poses, self.size, yaw, self.style, draw, border)
+                save_png(path, picture)
+            else:
+                size = (self.size, round(self.size * 0.85))
+                with bar(round(motion.seconds * self.fps), "draw") as progress:
+                    moments = film([motion], body, size, self.fps, yaw, self.style, progress)
+                save = save_gif if suffix == ".gif" else save_mp4
+                save(path, [picture for [picture] in moments], self.fps)
+        return Result(str(self.out), (self.out,), {"frames": len(motion), "fps": motion.fps})
 
 
 def in_studio(vertices: "Tensor", faces: "Tensor", colours: "Tensor", camera: "Camera") -> "Tensor":

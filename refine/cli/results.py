@@ -25,8 +25,9 @@ class Output:
     """Print one JSON object instead of lines for people: the verb, the files written, and the values found."""
 
 
+# A verb's last field is ``output: Printed = AS_LINES``, and its ``run`` returns a `Result`.
 Printed = Annotated[Output, arg(name="")]
-"""A verb's last field is ``output: Printed = Output()``, and its ``run`` returns a `Result`."""
+AS_LINES = Output()
 
 
 @dataclass(frozen=True)
