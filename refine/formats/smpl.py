@@ -3,7 +3,6 @@
 The files are licensed to their users and never ship here. They are told apart by the shapes of their arrays.
 """
 
-from contextlib import suppress
 from pathlib import Path
 from typing import Any
 
@@ -11,11 +10,14 @@ import numpy as np
 
 from refine.formats.npz import read_npz
 from refine.formats.unpickle import Inert, read_pickle
+from refine.formats.untrusted import kind_of
 from renderers.body import SHAPES, Body, BodyArrays
 from renderers.checks import UserError, check_finite, check_shapes
 from renderers.skeleton import JOINT_NAMES, PARENTS
 
 SMPL_VERTICES = 6890
+MAX_DEPTH = 8  # of arrays in arrays
+LARGEST = 1e6  # of any number in a body
 POSE_CORRECTIVES = 9 * (len(JOINT_NAMES) - 1)
 KEYS = ("v_template", "shapedirs", "posedirs", "J_regressor", "weights", "f", "kintree_table")
 AXES = {
@@ -24,6 +26,8 @@ AXES = {
     "posedirs": "vertex coordinate direction",
     "J_regressor": "joint vertex",
     "weights": "vertex joint",
+    "f": "face corner",
+    "kintree_table": "row joint",
 }
 # What else comes with the same array names, by its number of joints.
 RELATIVES = {5: "a FLAME", 16: "a MANO", 52: "an SMPL-H", 55: "an SMPL-X"}
@@ -41,44 +45,59 @@ def load_body(path: str | Path) -> Body:
 
 
 def _read(path: Path) -> dict[str, np.ndarray]:
-    if path.suffix.lower() == ".npz":
+    kind = kind_of(path)
+    if kind == "npz":
         return read_npz(path, KEYS)
-    if path.suffix.lower() != ".pkl":
-        raise UserError(path, f"is a {path.suffix or 'nameless'} file, which no body comes in", "give a .npz or .pkl")
+    if kind != "pickle" and path.suffix.lower() != ".pkl":
+        raise UserError(path, "is no file that a body comes in", "give a .npz or .pkl")
     stored = read_pickle(path)
     if not isinstance(stored, dict):
         raise UserError(path, f"holds a {type(stored).__name__}, not the dictionary of an SMPL body", REMEDY)
-    return {key: _array(path, key, stored[key]) for key in KEYS if key in stored}
+    return {key: _array(f"{path}, array '{key}'", stored[key]) for key in KEYS if key in stored}
 
 
-def _array(path: Path, key: str, value: Any) -> np.ndarray:
+def _array(where: str, value: Any, depth: int = 0) -> np.ndarray:
     """A plain array from what v1.0 stores: NumPy, chumpy or scipy.sparse."""
     if isinstance(value, Inert) and value.name.startswith("scipy.sparse."):
-        return _dense(path, key, value)
+        return _dense(where, value)
     match value:
         case np.ndarray():
             return np.asarray(value)
-        case Inert(name="chumpy.ch.Ch", state={"x": values}):
-            return _array(path, key, values)
-        case Inert(name="chumpy.reordering.Select", state={"a": whole, "idxs": chosen, "preferred_shape": shape}):
-            with suppress(TypeError, ValueError, IndexError):
-                return _array(path, key, whole).ravel()[np.asarray(chosen)].reshape(shape)
+        case Inert(name="chumpy.ch.Ch", state={"x": values}) if depth < MAX_DEPTH:
+            return _array(where, values, depth + 1)
+        case Inert(name="chumpy.reordering.Select", state=dict(state)) if depth < MAX_DEPTH:
+            return _selected(where, state, depth + 1)
     what = value.name if isinstance(value, Inert) else type(value).__name__
-    raise UserError(f"{path}, array '{key}'", f"is stored as {what}, which cannot be read", REMEDY)
+    raise UserError(where, f"is stored as {what}, which cannot be read", REMEDY)
 
 
-def _dense(path: Path, key: str, sparse: Inert) -> np.ndarray:
+def _selected(where: str, state: dict[str, Any], depth: int) -> np.ndarray:
+    """Some elements of another array, in a shape of their own."""
+    chosen, shape = state.get("idxs"), state.get("preferred_shape")
+    if not isinstance(chosen, np.ndarray) or chosen.dtype.kind not in "iu" or not isinstance(shape, tuple):
+        raise UserError(where, "is stored as chumpy.reordering.Select, which cannot be read", REMEDY)
+    try:
+        return _array(where, state.get("a"), depth).ravel()[np.asarray(chosen)].reshape(shape)
+    except (TypeError, ValueError, IndexError) as error:
+        raise UserError(where, "is stored as chumpy.reordering.Select, which cannot be read", REMEDY) from error
+
+
+def _dense(where: str, sparse: Inert) -> np.ndarray:
     """The state of a compressed sparse column or row matrix, written out."""
-    where = f"{path}, array '{key}'"
     try:
         rows, columns = (int(size) for size in sparse.state["_shape"])
-        data, minor, starts = (np.asarray(sparse.state[name]) for name in ("data", "indices", "indptr"))
+        data, minor, starts = (sparse.state[name] for name in ("data", "indices", "indptr"))
         by_column = {"csc": True, "csr": False}[sparse.name.rsplit(".", 1)[-1][:3]]
         major_size, minor_size = (columns, rows) if by_column else (rows, columns)
-        if rows * columns > len(JOINT_NAMES) * 10 * SMPL_VERTICES or len(starts) != major_size + 1:
+        if not all(isinstance(array, np.ndarray) and array.ndim == 1 for array in (data, minor, starts)):
+            raise ValueError("a part is no array")
+        if min(rows, columns) < 1 or rows * columns > len(JOINT_NAMES) * 10 * SMPL_VERTICES:
             raise ValueError("the sizes do not fit")
+        counts = np.diff(starts.astype(np.int64))
+        if len(counts) != major_size or counts.min() < 0 or starts[0] != 0 or starts[-1] != len(data):
+            raise ValueError("the places do not fit")  # each count is one that memory is taken for
         dense = np.zeros((major_size, minor_size))
-        np.add.at(dense, (np.repeat(np.arange(major_size), np.diff(starts.astype(np.int64))), minor), data)
+        np.add.at(dense, (np.repeat(np.arange(major_size), counts), np.asarray(minor)), np.asarray(data))
     except (KeyError, TypeError, ValueError, IndexError) as error:
         raise UserError(where, "is not an intact sparse matrix", REMEDY) from error
     return dense.T if by_column else dense
@@ -107,6 +126,8 @@ def _checked_arrays(path: str | Path, stored: dict[str, np.ndarray]) -> BodyArra
     )
     for key, axes in AXES.items():
         check_finite(f"{path}, array '{key}'", stored[key], axes)
+        if key != "kintree_table" and np.abs(stored[key]).max(initial=0) > LARGEST:
+            raise UserError(f"{path}, array '{key}'", "holds numbers larger than those of any body", REMEDY)
     if stored["shapedirs"].shape[-1] < SHAPES:
         raise UserError(path, f"has {stored['shapedirs'].shape[-1]} shape directions, fewer than {SHAPES}", REMEDY)
     if tuple(int(parent) for parent in stored["kintree_table"][0, 1:]) != PARENTS[1:]:
