@@ -6,7 +6,8 @@ own, share the vertices of the body, so vertex k of the file is vertex k of the 
 take, with its rotations as quaternions and the path of the pelvis. What glTF has no field for stands in the ``extras``
 of the animation: ``fps``, ``label``, and ``gender`` and ``betas`` of who performed it.
 
-glTF promises four joints a vertex, and more are seldom drawn, so of more the four heaviest are kept. Pose correctives,
+glTF promises four joints a vertex, and more are seldom drawn, so of more the four heaviest are kept: a vertex of the
+free body then lies 0.03 mm off in the mean, and at an armpit up to 5 mm (light) or 11 mm (full). Pose correctives,
 which an SMPL file may have and the free body has not, cannot be told in a file of this kind; they are left out.
 
 The file is packed here, by ``struct`` and ``json``, as its layout is two chunks and a table of contents.
@@ -22,6 +23,7 @@ import numpy as np
 import torch
 from torch import Tensor
 
+from refine.formats.gltf import BINARY_CHUNK, JSON_CHUNK, MAGIC, VERSION
 from refine.motion import Motion
 from renderers.body import Body
 from renderers.checks import UserError
@@ -33,7 +35,6 @@ from renderers.skeleton import DRAWN_PART_NAMES, JOINT_NAMES, PARENTS
 
 INFLUENCES = 4
 GENERATOR = "Refine"
-MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = b"glTF", 2, b"JSON", b"BIN\0"
 FLOAT, BYTE, SHORT, INT = 5126, 5121, 5123, 5125  # glTF's names for float32, uint8, uint16, uint32
 COMPONENTS = {np.dtype("<f4"): FLOAT, np.dtype("u1"): BYTE, np.dtype("<u2"): SHORT, np.dtype("<u4"): INT}
 ARRAYS = {1: "SCALAR", 3: "VEC3", 4: "VEC4", 16: "MAT4"}
@@ -44,8 +45,7 @@ def write_glb(path: str | Path, motions: Motion | Sequence[Motion], body: Body) 
     """Write motions of a body, each as a take that is named by its label; a second of a name is numbered.
 
     Raises:
-        UserError: there is no motion, one has more frames than 32-bit seconds can tell apart, or the file cannot be
-            written.
+        UserError: there is no motion, or the file cannot be written.
     """
     packed = glb_bytes([motions] if isinstance(motions, Motion) else motions, body)
     with replacing(path) as partial:
@@ -176,9 +176,6 @@ def _takes(motions: Sequence[Motion]) -> list[str]:
 
 def _animation(motion: Motion, name: str, binary: _Binary) -> dict:
     times = (np.arange(len(motion)) / motion.fps).astype("<f4")
-    if (np.diff(times) <= 0).any():
-        problem = f"{len(motion)} frames at {motion.fps} a second are more than 32-bit seconds tell apart"
-        raise UserError(motion.source, problem, "crop it or lower its frame rate")
     quaternions = continuous(matrix_to_quaternion(motion.rotations.detach().cpu().double()))
     quaternions = quaternions.roll(-1, dims=-1).float().numpy()  # glTF has x, y, z, w
     clock = binary.add(times, bounds=True)
