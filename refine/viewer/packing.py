@@ -87,7 +87,6 @@ def pack_motion(packer: Packer, motion: Motion, rest_joints: Tensor) -> dict[str
         "fps": motion.fps,
         "frames": len(motion),
         "seconds": (len(motion) - 1) / motion.fps,
-        "travel": float(motion.root[:, [0, 2]].diff(dim=0).norm(dim=1).sum()),
         "quaternions": packer.add((quaternions * GREATEST).round().numpy().astype(np.int16)),
         "root": packer.add(motion.root.float().numpy()),
         "speeds": packer.add(calmed(speeds, motion.fps).float().numpy()),
