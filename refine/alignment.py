@@ -44,10 +44,11 @@ def swing(start: Tensor, end: Tensor) -> Tensor:
     return torch.where(cosine > -1 + 1e-7, smallest, half)
 
 
-def kabsch(still: Tensor, moved: Tensor) -> Tensor:
-    """The rotations [T 3 3] that take vectors [P 3] nearest to vectors [T P 3]."""
-    spread = moved.mT @ still
-    spread = spread + NOTHING * still.square().sum() * torch.eye(3, dtype=still.dtype)
+def kabsch(still: Tensor, moved: Tensor, weights: Tensor | None = None) -> Tensor:
+    """The rotations [T 3 3] that take vectors [P 3] nearest to vectors [T P 3], each with its weight [P]."""
+    weighted = still if weights is None else weights[:, None] * still
+    # A little of no rotation at all: vectors that are too few or too short leave some open.
+    spread = moved.mT @ weighted + NOTHING * still.square().sum() * torch.eye(3, dtype=still.dtype)
     left, _, right = torch.linalg.svd(spread)
     sign = torch.linalg.det(left @ right)
     last = torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign], dim=-1)

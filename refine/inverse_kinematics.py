@@ -21,15 +21,17 @@ import torch
 from torch import Tensor
 from torch.nn.functional import conv1d, normalize
 
-from refine.alignment import across, direction, frame, kabsch, swing
+from refine.alignment import NOTHING, across, direction, frame, kabsch, swing
 from refine.joint_layouts import LAYOUTS, Layout
-from refine.measured_skeleton import ARMS, COLLARS, HIPS, LEGS, NECK, SPINE, leg_length, measured_skeleton, stretch
+from refine.measured_skeleton import ARMS, COLLARS, HIPS, LEGS, NECK, SPINE, leg_length, measured_skeleton, unsteadiness
 from refine.motion import Motion
 from renderers.checks import UserError, check_finite, check_shapes
 from renderers.rotations import slerp
 from renderers.skeleton import JOINT_NAMES, JOINTS, MIRRORED, PARENTS, forward_kinematics
 
 BLOCK = 4096  # frames at once
+GLITCHES = 0.02  # of the frames may reach through the floor
+MOBILITY = 0.06  # how far shoulders move against the chest, in widths of the shoulders
 HEAD = JOINTS["head"]
 SHOULDERS = (JOINTS["left_shoulder"], JOINTS["right_shoulder"])
 # The axis about which a positive turn bends the limb, in the T-pose: knees backwards, elbows forwards.
@@ -58,9 +60,9 @@ class Fit:
         errors: [T] mean distance, in metres, of the joints of each frame to the positions: of the fitted rotations on
             a skeleton with the bone lengths of the file, scaled to the size of the body.
         scale: metres a unit of the file: the legs of the body over those of the file.
-        lift: metres by which the path was raised, to stand on the floor with the lowest joint of the clip.
+        lift: metres by which the path was raised, to stand on the floor with the lowest joint of all but a few frames.
         swapped: whether left and right were exchanged, because the feet pointed backwards otherwise.
-        stretch: how much bones change their lengths, as a ratio; near 0 for a body.
+        stretch: how much bones change their lengths, as a ratio: the deviation over the mean; near 0 for a body.
     """
 
     motion: Motion
@@ -119,15 +121,16 @@ def fit_joints(
         joints = joints[:, list(MIRRORED)]
     model = measured_skeleton(joints, seen, layout.rest, rest, source)
     scale = leg_length(rest) / leg_length(model)
+    stretch, noise = unsteadiness(joints, seen)
     parts = [
-        _fit(joints[start:stop], inner, seen, model, rest, fps, config)
+        _fit(joints[start:stop], inner, seen, model, rest, noise, fps, config)
         for start, stop, inner in _blocks(len(joints), max(_reach(span, fps) for span in config.spans))
     ]
     rotations, root, lowest, errors = (torch.cat(values) for values in zip(*parts, strict=True))
-    lift = 0.0 if model is rest else float(rest[:, 1].min() - lowest.min())
+    lift = 0.0 if model is rest else float(rest[:, 1].min() - lowest.quantile(GLITCHES))
     root = root + torch.tensor([0.0, lift, 0.0], dtype=root.dtype)
     motion = Motion(rotations, root.float(), fps, label, source)
-    return Fit(motion, errors.float(), scale, lift, swapped, stretch(joints, seen))
+    return Fit(motion, errors.float(), scale, lift, swapped, stretch)
 
 
 def _blocks(frames: int, reach: int) -> Iterator[tuple[int, int, slice]]:
@@ -139,11 +142,18 @@ def _blocks(frames: int, reach: int) -> Iterator[tuple[int, int, slice]]:
 
 
 def _fit(
-    joints: Tensor, own: slice, seen: list[bool], model: Tensor, rest: Tensor, fps: float, config: FittingConfig
+    joints: Tensor,
+    own: slice,
+    seen: list[bool],
+    model: Tensor,
+    rest: Tensor,
+    noise: float,
+    fps: float,
+    config: FittingConfig,
 ) -> tuple[Tensor, Tensor, Tensor, Tensor]:
     """Of a block of joints [S 24 3], for its own T frames: local rotations [T 24 3 3], root [T 3], the height of the
     lowest joint [T], all on the body, and errors [T] in metres."""
-    turned = _world_rotations(joints, seen, model, fps, config)[own]
+    turned = _world_rotations(joints, seen, model, noise, fps, config)[own]
     joints = joints[own]
     scale = leg_length(rest) / leg_length(model)
     at = joints[:, list(HIPS)].mean(dim=1)
@@ -171,20 +181,22 @@ def _feet_point_back(joints: Tensor) -> bool:
     return bool((torch.linalg.cross(left, up) * feet).sum(dim=-1).sign().mean() < -0.5)
 
 
-def _world_rotations(joints: Tensor, seen: list[bool], model: Tensor, fps: float, config: FittingConfig) -> Tensor:
-    """[T 24 3 3] world rotations that take the T-pose to the positions."""
+def _world_rotations(
+    joints: Tensor, seen: list[bool], model: Tensor, noise: float, fps: float, config: FittingConfig
+) -> Tensor:
+    """[T 24 3 3] world rotations that take the T-pose to the positions, each of which is unsteady by ``noise``."""
 
-    def rigid(joint: int, ends: tuple[int, ...]) -> Tensor:
-        there = torch.stack([joints[:, end] - joints[:, joint] for end in ends], dim=1)
-        return kabsch(torch.stack([model[end] - model[joint] for end in ends]), there)
+    def rigid(joint: int, ends: dict[int, float]) -> Tensor:
+        there = joints[:, list(ends)] - joints[:, joint, None]
+        return kabsch(model[list(ends)] - model[joint], there, torch.tensor(list(ends.values()), dtype=model.dtype))
 
     def aimed(carried: Tensor, joint: int, end: int) -> Tensor:
         if not (seen[joint] and seen[end]):
             return carried
         return swing(carried @ (model[end] - model[joint]), joints[:, end] - joints[:, joint]) @ carried
 
-    pelvis = rigid(0, (*HIPS, SPINE[0]))
-    chest = rigid(SPINE[2], (NECK, *(COLLARS if seen[COLLARS[0]] else SHOULDERS)))
+    pelvis = rigid(0, dict.fromkeys((*HIPS, SPINE[0]), 1.0))
+    chest = rigid(SPINE[2], _chest(seen, model, noise))
     lower, upper = (slerp(pelvis, chest, pelvis.new_full((len(joints),), share)) for share in (1 / 3, 2 / 3))
     turned = {0: pelvis, SPINE[2]: chest}
     turned[SPINE[0]] = aimed(lower, SPINE[0], SPINE[1] if seen[SPINE[1]] else SPINE[2])
@@ -201,6 +213,16 @@ def _world_rotations(joints: Tensor, seen: list[bool], model: Tensor, fps: float
         turned[second] = frame(below, axis) @ frame(model[third] - model[second], bent).mT
         turned[third] = turned[tip] = aimed(turned[second], third, tip)
     return torch.stack([turned[joint] for joint in range(len(JOINT_NAMES))], dim=1)
+
+
+def _chest(seen: list[bool], model: Tensor, noise: float) -> dict[int, float]:
+    """What shows how the chest is turned, and how much each counts. Shoulders are not rigid with it, but collars lie so
+    near to each other that they show little where positions are unsteady."""
+    if not seen[COLLARS[0]]:
+        return dict.fromkeys((NECK, *SHOULDERS), 1.0)
+    moves = MOBILITY * float((model[SHOULDERS[0]] - model[SHOULDERS[1]]).norm())
+    weight = noise**2 / max(noise**2 + moves**2, NOTHING**2)
+    return dict.fromkeys((NECK, *COLLARS), 1.0) | dict.fromkeys(SHOULDERS, weight)
 
 
 def _hinge(

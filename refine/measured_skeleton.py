@@ -54,16 +54,15 @@ def measured_skeleton(joints: Tensor, seen: list[bool], pose: Tensor, rest: Tens
     return _joined(offsets)
 
 
-def stretch(joints: Tensor, seen: list[bool]) -> float:
-    """How much bones change their lengths: the range of the middle four fifths of the frames over the median, for the
-    median bone. Nothing for a body, much for numbers that are none."""
-    above = [(_seen_above(joint, seen), joint) for joint in range(1, len(seen)) if seen[joint]]
-    lengths = torch.stack([(joints[:, b] - joints[:, a]).norm(dim=-1) for a, b in above])
-    middle = lengths.median(dim=1).values
-    ordered = lengths.sort(dim=1).values
-    tenth = ordered.shape[1] // 10
-    spread = ordered[:, -1 - tenth] - ordered[:, tenth]
-    return float((spread / middle.clamp(min=NOTHING)).median())
+def unsteadiness(joints: Tensor, seen: list[bool]) -> tuple[float, float]:
+    """How much bones change their lengths, which those of a body never do: the standard deviation, as a ratio of the
+    length and in units of the file, each of the median bone. Outliers do not count."""
+    pairs = [(_seen_above(joint, seen), joint) for joint in range(1, len(seen)) if seen[joint]]
+    lengths = torch.stack([(joints[:, b] - joints[:, a]).norm(dim=-1) for a, b in pairs]).sort(dim=1).values
+    tenth = lengths.shape[1] // 10
+    deviations = (lengths[:, -1 - tenth] - lengths[:, tenth]) / 2.56  # four fifths of a normal distribution
+    middle = lengths[:, lengths.shape[1] // 2].clamp(min=NOTHING)
+    return float((deviations / middle).median()), float(deviations.median())
 
 
 def _stretched(

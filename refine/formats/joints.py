@@ -27,7 +27,7 @@ from renderers.rotations import rotation_about
 
 MAX_BYTES = 1 << 28  # two hundred thousand frames of 52 joints in double precision
 FEATURES = {12 * joints - 1: joints for joints in (22, 21)}
-STRETCHED = 0.2  # bones that change their lengths by more are those of no body
+STRETCHED = 0.3  # bones that change their lengths by more are those of no body
 REMEDY = "give positions [frames joints 3] of 24 (SMPL), 22 (HumanML3D) or 21 (KIT) joints, or features of 263 or 251"
 
 
