@@ -1,148 +1,56 @@
-"""Any named skeleton to SMPL's 24 joints, by joint frames.
+"""Any skeleton to SMPL's 24 joints, by joint frames.
 
 The zero pose of a file need not be a T-pose: in Bandai-Namco's every bone lies along its own local x axis. So a joint's
-rotation is never copied. For each joint a table says which of its local axes point up and forward when the body stands
-in SMPL's T-pose; from that follows one constant rotation between the two frames, and the SMPL joint turns in the world
-as the source joint does. Upper arms, forearms, thighs and shanks are aligned by the bone itself, so they point exactly
-where the source's point, and their twist is the source's twist. Feet are aligned by their soles, which therefore lie
-flat when the source's do, though ankles may differ in height.
+rotation is never copied. For each joint it is known (``skeletons``) or found (``mapping``) which of its local axes
+point up and forward when the body stands in SMPL's T-pose; from that follows one constant rotation between the two
+frames, and the SMPL joint turns in the world as the source joint does. Upper arms, forearms, thighs and shanks are
+aligned by the bone itself, so they point exactly where the source's point, and their twist is the source's twist. Feet
+are aligned by their soles, which therefore lie flat when the source's do, though ankles may differ in height.
 """
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import replace
 
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from refine.formats.bvh import Bvh, world
+from refine.mapping import Mapping, mapping_of, skeleton_of
 from refine.motion import Motion
+from refine.rest_pose import TO_Y_UP, frame_of
+from refine.skeletons import LIMBS, Skeleton, Y, Z
 from renderers.checks import UserError, check_shapes
 from renderers.rotations import slerp
 from renderers.skeleton import JOINT_NAMES, JOINTS, PARENTS, forward_kinematics
 
-Vector = tuple[float, float, float]
-
-X, Y, Z = (1.0, 0.0, 0.0), (0.0, 1.0, 0.0), (0.0, 0.0, 1.0)
-
-# The bones that must point where the source's do, as SMPL joint -> the joint at the bone's far end.
-LIMBS = {
-    f"{side}_{joint}": f"{side}_{child}"
-    for side in ("left", "right")
-    for joint, child in (("hip", "knee"), ("knee", "ankle"), ("shoulder", "elbow"), ("elbow", "wrist"))
-}
 SOLES = tuple(JOINTS[f"{side}_{joint}"] for side in ("left", "right") for joint in ("ankle", "foot"))
 # A sole slower than this (metres a second) carries weight.
 PLANTED_SPEED = 0.15
 
 
-@dataclass(frozen=True)
-class Place:
-    """Where an SMPL joint is found: the source joint, and two of its local directions in SMPL's T-pose."""
-
-    joint: str
-    up: Vector
-    forward: Vector
-
-
-@dataclass(frozen=True)
-class Skeleton:
-    """A known naming of joints.
-
-    Attributes:
-        places: SMPL joint -> place in the source. A joint in neither table turns with its parent.
-        between: SMPL joint -> (joint before, joint after, share): turns that share of the way between two others.
-        grounded: whether the file's floor is looked for and put under SMPL's soles; otherwise heights are only scaled.
-    """
-
-    name: str
-    places: Mapping[str, Place]
-    between: Mapping[str, tuple[str, str, float]]
-    grounded: bool
-
-
-def _minus(vector: Vector) -> Vector:
-    return tuple(-x for x in vector)
-
-
-def _dipped(degrees: float) -> tuple[Vector, Vector]:
-    """(up, forward) for a joint whose local y is left and whose local x dips this far below the horizon ahead."""
-    sin, cos = math.sin(math.radians(degrees)), math.cos(math.radians(degrees))
-    return (-sin, 0.0, cos), (cos, 0.0, sin)
-
-
-def _bandai_namco() -> Skeleton:
-    """Right limbs run along -x, left ones along +x; elbows and knees bend about y.
-
-    Measured on standing frames of all the clips: the foot dips 39.6 degrees and the toes 23 with the sole flat, and the
-    shoulder blades lie 15.5 degrees behind the body's lateral axis with the arms at rest.
-    """
-    back = math.radians(15.5)
-    ahead = (-math.sin(back), 0.0, math.cos(back))
-    places = {
-        "pelvis": Place("Hips", X, Z),
-        "spine1": Place("Spine", X, Y),
-        "spine3": Place("Chest", X, Y),
-        "neck": Place("Neck", X, Y),
-        "head": Place("Head", X, Y),
-    }
-    for side, letter, sign in (("left", "L", 1.0), ("right", "R", -1.0)):
-        turned = (lambda v: v) if sign > 0 else _minus
-        arm = turned(Y), turned(Z)
-        places[f"{side}_collar"] = Place(f"Shoulder_{letter}", turned(Y), turned(ahead))
-        for joint, source in (("shoulder", "UpperArm"), ("elbow", "LowerArm"), ("wrist", "Hand")):
-            places[f"{side}_{joint}"] = Place(f"{source}_{letter}", *arm)
-        for joint, source in (("hip", "UpperLeg"), ("knee", "LowerLeg")):
-            places[f"{side}_{joint}"] = Place(f"{source}_{letter}", turned(_minus(X)), turned(Z))
-        for joint, source, dip in (("ankle", "Foot", 39.6), ("foot", "Toes", 23.0)):
-            places[f"{side}_{joint}"] = Place(f"{source}_{letter}", *map(turned, _dipped(dip)))
-    return Skeleton("Bandai-Namco", places, {"spine2": ("spine1", "spine3", 0.5)}, grounded=True)
-
-
-BANDAI_NAMCO = _bandai_namco()
-SMPL = Skeleton("SMPL", {name: Place(name, Y, Z) for name in JOINT_NAMES}, {}, grounded=False)
-SKELETONS = (BANDAI_NAMCO, SMPL)
-
-
-def recognise(bvh: Bvh) -> Skeleton:
-    """The first known skeleton all of whose joints the file has.
-
-    Raises:
-        UserError: there is none; the message names joints that the nearest one has and the file lacks.
-    """
-    present = set(bvh.names)
-    missing = {known.name: {place.joint for place in known.places.values()} - present for known in SKELETONS}
-    for known in SKELETONS:
-        if not missing[known.name]:
-            return known
-    nearest = min(missing, key=lambda name: len(missing[name]))
-    lacks = ", ".join(sorted(missing[nearest])[:4])
-    raise UserError(
-        bvh.source,
-        f"its skeleton is not known: nearest is {nearest}'s, but it lacks {lacks}",
-        f"rename its joints to those of {' or '.join(known.name for known in SKELETONS)}",
-    )
-
-
-def retarget(bvh: Bvh, rest_joints: Tensor, skeleton: Skeleton | None = None, label: str = "") -> Motion:
+def retarget(bvh: Bvh, rest_joints: Tensor, skeleton: Skeleton | Mapping | None = None, label: str = "") -> Motion:
     """Put a file's motion on a body with the T-pose joints [24 3] in metres.
 
     The path is scaled by the ratio of the leg lengths, and the floor moved under the soles if the skeleton asks for it.
 
+    Args:
+        skeleton: the frames of its joints, or which joint is which; without it that is found, see ``mapping_of``.
+
     Raises:
-        UserError: the skeleton is not known, or has a limb of length zero.
+        UserError: the file's skeleton is no body, has a limb of length zero, or is not the mapping's.
     """
     check_shapes("retarget", rest_joints=(rest_joints, "24 3"))
-    skeleton = skeleton or recognise(bvh)
     rest = rest_joints.detach().to("cpu", torch.float64)
+    skeleton = skeleton or mapping_of(bvh)
+    if isinstance(skeleton, Mapping):
+        skeleton = skeleton_of(bvh, skeleton, rest)
     source = {name: bvh.names.index(place.joint) for name, place in skeleton.places.items()}
-    joints, rotations = world(bvh)
-    alignments = _alignments(bvh, skeleton, rest)
+    joints, rotations = world(y_up(bvh, skeleton.up))
+    bones = {name: _bone(bvh, joints, rotations, source[name], source[end]) for name, end in LIMBS.items()}
+    alignments = _alignments(bones, skeleton, rest)
     turned = _complete({name: rotations[:, source[name]] @ alignments[name] for name in source}, skeleton)
     hips = (joints[:, source["left_hip"]] + joints[:, source["right_hip"]]) / 2
     middle = (rest[JOINTS["left_hip"]] + rest[JOINTS["right_hip"]]) / 2 - rest[0]
-    root = hips * _leg_ratio(bvh, source, rest) - (turned[:, 0] @ middle)
+    root = hips * _leg_ratio(bones, rest) - (turned[:, 0] @ middle)
     local = turned.clone()
     local[:, 1:] = turned[:, list(PARENTS[1:])].mT @ turned[:, 1:]
     if skeleton.grounded:
@@ -150,34 +58,36 @@ def retarget(bvh: Bvh, rest_joints: Tensor, skeleton: Skeleton | None = None, la
     return Motion(local.float(), root.float(), bvh.fps, label, bvh.source)
 
 
-def _alignments(bvh: Bvh, skeleton: Skeleton, rest: Tensor) -> dict[str, Tensor]:
-    """For each placed joint the constant rotation [3 3] that takes T-pose world axes to the source's local axes."""
+def y_up(bvh: Bvh, up: str) -> Bvh:
+    """The file with its root turned so that the axis ``up``, a key of ``rest_pose.AXES``, points along y."""
+    if up == "y":
+        return bvh
+    turn = torch.tensor(TO_Y_UP[up], dtype=bvh.rotations.dtype)
+    rotations, positions = bvh.rotations.clone(), bvh.positions.clone()
+    rotations[:, 0], positions[:, 0] = turn @ rotations[:, 0], positions[:, 0] @ turn.mT
+    return replace(bvh, rotations=rotations, positions=positions)
+
+
+def _alignments(bones: dict[str, Tensor], skeleton: Skeleton, rest: Tensor) -> dict[str, Tensor]:
+    """For each placed joint the rotation [3 3], of limbs [T 3 3], from T-pose world axes to the source's local ones."""
     alignments = {}
     for name, place in skeleton.places.items():
         theirs, ours = torch.tensor(place.up, dtype=rest.dtype), torch.tensor(Y, dtype=rest.dtype)
         if name in LIMBS:
-            theirs = _bone(bvh, skeleton.places[LIMBS[name]].joint)
-            ours = rest[JOINTS[LIMBS[name]]] - rest[JOINTS[name]]
+            theirs, ours = bones[name], rest[JOINTS[LIMBS[name]]] - rest[JOINTS[name]]
         forward = torch.tensor(place.forward, dtype=rest.dtype)
-        alignments[name] = _frame(theirs, forward) @ _frame(ours, torch.tensor(Z, dtype=rest.dtype)).mT
+        alignments[name] = frame_of(theirs, forward) @ frame_of(ours, torch.tensor(Z, dtype=rest.dtype)).mT
     return alignments
 
 
-def _bone(bvh: Bvh, joint: str) -> Tensor:
-    """[3] from the parent to the joint in the parent's frame: what the motion says, for it overrides OFFSET."""
-    bone = bvh.positions[:, bvh.names.index(joint)].mean(dim=0)
-    if bone.norm() < 1e-6:
+def _bone(bvh: Bvh, joints: Tensor, rotations: Tensor, start: int, end: int) -> Tensor:
+    """[T 3] from a joint to one below in the first one's frame: what the motion says, for it overrides OFFSET."""
+    bone = (rotations[:, start].mT @ (joints[:, end] - joints[:, start])[..., None])[..., 0]
+    if bone.norm(dim=-1).min() < 1e-6:
         raise UserError(
-            bvh.source, f"the bone that ends in {joint} has no length", "export the skeleton with its offsets"
+            bvh.source, f"the bone that ends in {bvh.names[end]} has no length", "export the skeleton with its offsets"
         )
     return bone
-
-
-def _frame(first: Tensor, second: Tensor) -> Tensor:
-    """[3 3] right-handed columns: ``first``, the part of ``second`` across it, their cross product."""
-    first = normalize(first, dim=0)
-    second = normalize(second - (second @ first) * first, dim=0)
-    return torch.stack([first, second, torch.linalg.cross(first, second)], dim=1)
 
 
 def _complete(turned: dict[str, Tensor], skeleton: Skeleton) -> Tensor:
@@ -191,11 +101,10 @@ def _complete(turned: dict[str, Tensor], skeleton: Skeleton) -> Tensor:
     return torch.stack([turned[name] for name in JOINT_NAMES], dim=1)
 
 
-def _leg_ratio(bvh: Bvh, source: dict[str, int], rest: Tensor) -> float:
-    bones = [(start, end) for start, end in LIMBS.items() if start.endswith(("hip", "knee"))]
-    ours = sum((rest[JOINTS[end]] - rest[JOINTS[start]]).norm().item() for start, end in bones)
-    theirs = sum(_bone(bvh, bvh.names[source[end]]).norm().item() for _, end in bones)
-    return ours / theirs
+def _leg_ratio(bones: dict[str, Tensor], rest: Tensor) -> float:
+    legs = [(start, end) for start, end in LIMBS.items() if start.endswith(("hip", "knee"))]
+    ours = sum((rest[JOINTS[end]] - rest[JOINTS[start]]).norm().item() for start, end in legs)
+    return ours / sum(bones[start].norm(dim=-1).mean().item() for start, _ in legs)
 
 
 def _floor(joints: Tensor, rest: Tensor, fps: float) -> Tensor:

@@ -9,13 +9,14 @@ from torch import Tensor
 
 from refine.formats.actor import read_humanact
 from refine.formats.amass import read_amass, write_amass
-from refine.formats.bvh import read_bvh, write_bvh
+from refine.formats.bvh import Bvh, read_bvh, write_bvh
 from refine.formats.clips import is_packed, load_clips
 from refine.formats.fbx import blender_python, write_fbx
 from refine.formats.glb import write_glb
 from refine.formats.glb_read import read_glb
 from refine.formats.joints import read_joints, write_joints
 from refine.formats.untrusted import kind_of
+from refine.mapping import mapping_of, read_mapping
 from refine.motion import Motion
 from refine.retarget import retarget
 from renderers.body import Body
@@ -38,11 +39,18 @@ class Reading:
     mapping: Path | None = None
     """JSON file that says which joint of the file is which of ours, as `refine data inspect` writes it."""
     up: str | None = None
-    """Axis that points up in .npz and .npy files, "y" or "z"; none takes z for AMASS-style files and y for joints."""
+    """Axis that points up, "y" or "z"; none looks for it in skeletons, and takes z for AMASS-style files and y for
+    joints."""
 
 
 def read_one_bvh(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
-    return [retarget(read_bvh(path, reading.unit), rest_joints)]
+    return [mapped(read_bvh(path, reading.unit), rest_joints, reading)]
+
+
+def mapped(bvh: Bvh, rest_joints: Tensor, reading: Reading) -> Motion:
+    """A skeleton's motion on a body, by the mapping and the axis that a person gave, or by those that are found."""
+    mapping = read_mapping(reading.mapping) if reading.mapping else mapping_of(bvh)
+    return retarget(bvh, rest_joints, replace(mapping, up=reading.up) if reading.up else mapping)
 
 
 def read_one_npz(path: Path, _rest_joints: Tensor, reading: Reading) -> list[Motion]:
