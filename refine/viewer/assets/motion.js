@@ -137,5 +137,5 @@ function extent(clips, following, middle) {
         aside = Math.max(aside, Math.hypot(joints[joint] - centre[0], joints[joint + 2] - centre[2]));
       }
     }
-  return { top: top + 0.15, aside: 0.82 * aside + 0.1 }; // limbs seldom reach their farthest right across the view
+  return { top: top + 0.2, aside: 0.88 * aside + 0.12 }; // limbs seldom reach their farthest right across the view
 }

@@ -70,7 +70,7 @@ class Orbit {
     const tangent = Math.tan(LENS / 2);
     const half = Math.max(top / 2, aside / aspect);
     const distance = (half / tangent + aside * 0.3) / this.zoom;
-    const target = add(add(centre, [0, top / 2 - 0.02, 0]), this.pan);
+    const target = add(add(centre, [0, top / 2 + 0.01, 0]), this.pan);
     const level = Math.cos(this.elevation);
     const way = [Math.sin(this.yaw) * level, Math.sin(this.elevation), Math.cos(this.yaw) * level];
     const eye = add(target, scaled(way, distance));

@@ -34,8 +34,6 @@ class Renderer {
     this.quad = this.quadOf();
     this.map = this.shadowMap();
     this.sheets = new Map();
-    gl.enable(gl.DEPTH_TEST);
-    gl.enable(gl.CULL_FACE);
     gl.blendFunc(gl.ONE, gl.ONE_MINUS_SRC_ALPHA); // all colours are multiplied by their alpha
   }
 
@@ -159,6 +157,8 @@ class Renderer {
     gl.bindFramebuffer(gl.FRAMEBUFFER, this.map.frame);
     gl.viewport(0, 0, SHADOW_SIZE, SHADOW_SIZE);
     gl.disable(gl.SCISSOR_TEST);
+    gl.enable(gl.DEPTH_TEST);
+    gl.enable(gl.CULL_FACE);
     gl.clear(gl.DEPTH_BUFFER_BIT);
     gl.enable(gl.POLYGON_OFFSET_FILL);
     gl.polygonOffset(1.5, 3);

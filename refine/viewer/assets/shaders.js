@@ -194,6 +194,7 @@ uniform float veil;
 out vec4 colour;
 void main() {
   vec3 seen = texture(sheet, at).rgb;
-  float alpha = mix(veil, 0.86, smoothstep(0.04, 0.2, distance(seen, paper)));
-  colour = vec4(seen, 1.0) * alpha;
+  float covered = clamp(2.2 * distance(seen, paper), 0.0, 1.0);
+  vec3 pure = clamp(paper + (seen - paper) / max(covered, 0.05), 0.0, 1.0); // what the paper shone through
+  colour = mix(vec4(paper, 1.0) * veil, vec4(pure, 1.0) * 0.88, covered);
 }`;
