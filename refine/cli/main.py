@@ -24,6 +24,7 @@ from refine.cli.render import Render
 from refine.cli.results import Output, Result, hushed, printable, show
 from refine.cli.train import TrainGenerator, TrainMAE
 from refine.cli.train_recogniser import TrainRecogniser
+from refine.cli.view import View
 from renderers.checks import UserError
 
 DESCRIPTION = "Compose two human actions into one motion and refine it with a differentiable renderer in the loop."
@@ -37,6 +38,7 @@ VERBS: dict[str, Any] = {
     "compose": Compose,
     "inspect": Inspect,
     "render": Render,
+    "view": View,
     "data": {
         "": "Prepare motion data.\n\nExample: refine data import clips --out clips.npz",
         "import": ImportData,

@@ -13,7 +13,6 @@ from collections.abc import Sequence
 from dataclasses import replace
 from functools import cache
 from importlib.resources import files
-from pathlib import Path
 from typing import Any
 
 from torch import Tensor
@@ -27,19 +26,11 @@ from refine.viewer.packing import Packer, pack_body, pack_motion
 from renderers.body import Body
 from renderers.checks import UserError
 from renderers.images import contact_sheet
-from renderers.outputs import replacing
 
 SCRIPTS = ("algebra.js", "motion.js", "shaders.js", "renderer.js", "orbit.js", "cards.js", "viewer.js")
 MOST = 9  # motions, one a digit
 LONGEST = 200_000  # frames of all motions: 40 MB
 POSES, HEIGHT = 8, 220  # of the poster
-
-
-def write_page(path: Path, motions: Sequence[Motion], body: Body, title: str = "") -> None:
-    """Write :func:`page` with a poster, whole or not at all."""
-    content = page(motions, body, title=title, poster=poster(motions, body))
-    with replacing(path) as partial:
-        partial.write_text(content, encoding="utf-8")
 
 
 def page(
