@@ -17,6 +17,23 @@ if TYPE_CHECKING:
     from torch import Tensor
 
 
+LONGEST = 800  # characters of a message: what it names may come from a file that somebody else made
+
+
+def printable(line: str) -> str:
+    r"""A line in which nothing steers a terminal: labels and names come from other people's files.
+
+    Control characters, and those that turn the direction of writing or take no room, are written as in Python.
+
+    >>> printable("walk\x1b[31m\r")
+    'walk\\x1b[31m\\r'
+    """
+    return "".join(
+        character if character.isprintable() or character in "\t " else character.encode("unicode_escape").decode()
+        for character in line.encode("utf-8", "backslashreplace").decode()
+    )
+
+
 class UserError(Exception):
     """Something the user can mend: one line on stderr, exit code 2.
 
@@ -25,7 +42,8 @@ class UserError(Exception):
 
     def __init__(self, where: str | Path, problem: str, remedy: str = ""):
         self.where, self.problem, self.remedy = str(where), problem, remedy
-        super().__init__(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
+        text = printable(f"{where}: {problem}" + (f"; {remedy}" if remedy else ""))
+        super().__init__(text if len(text) <= LONGEST else f"{text[:LONGEST]}...")
 
     def __reduce__(self):
         return type(self), (self.where, self.problem, self.remedy)

@@ -237,7 +237,8 @@ class _Unpickler(pickle._Unpickler):
         self.stack[-1].update(zip(items[::2], items[1::2], strict=True))
 
     def load_frozenset(self) -> None:
-        self.append(frozenset(self.set_of(self.pop_mark())))
+        items = self.pop_mark()
+        self.append(frozenset(self.set_of(items)))
 
     def load_additems(self) -> None:
         items = self.pop_mark()
