@@ -45,9 +45,12 @@ class FittingConfig:
     spans: tuple[float, ...] = (0.06, 0.3, 1.2)
     """Standard deviations, in seconds, of the times over which a limb's plane is remembered; each counts a hundredth
     of the one before."""
+    straight: float = 0.15
+    """Sine of the angle up to which a limb is nearly straight. A limb that is bent more counts the square of its sine,
+    one that is bent less ever less."""
     foot: float = 0.05
-    """What the foot counts for the turn of the thigh; the knee counts the square of the sine of its angle."""
-    prior: float = 1e-5
+    """What the foot counts for the turn of the thigh."""
+    prior: float = 1e-3
     """What the T-pose counts."""
 
 
@@ -248,7 +251,9 @@ def _hinge(
         """[T] complex: the angle from ``plain`` to the axis, with the square of its length for weight."""
         return torch.complex((axis * plain).sum(dim=-1), (axis * other).sum(dim=-1)) * axis.norm(dim=-1)
 
-    votes = vote(torch.linalg.cross(along, below))
+    bend = torch.linalg.cross(along, below)
+    square = bend.square().sum(dim=-1)
+    votes = vote(bend) * square / (square + config.straight**2)
     if limb in LEGS and seen[tip]:
         ahead = direction(joints[:, tip] - joints[:, third], swung @ bones[2])
         votes = votes + config.foot * vote(torch.linalg.cross(ahead, along))

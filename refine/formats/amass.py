@@ -75,9 +75,7 @@ def read_amass(path: str | Path, up: str = "z", fps: float | None = None) -> Mot
     rotations[:, 0] = upright @ rotations[:, 0]
     root = torch.from_numpy(trans + PELVIS) @ upright.mT
     betas, gender = _shape(path)
-    return Motion(
-        rotations.float(), root.float(), rate, str(arrays.get("label", "")), str(path), betas=betas, gender=gender
-    )
+    return Motion(rotations.float(), root.float(), rate, _text(arrays.get("label")), str(path), betas, gender)
 
 
 def write_amass(path: str | Path, motion: Motion, model: str = "smplh") -> None:
@@ -143,16 +141,24 @@ def _shape(path: str | Path) -> tuple[Tensor | None, str]:
             found |= read_npz(path, (key,))
         except UserError:
             continue
-    gender = found.get("gender", np.array(""))
-    text = str(gender.astype(str).item()).strip().lower() if gender.size == 1 and gender.dtype.kind in "SU" else ""
-    betas = found.get("betas")
-    if betas is None or betas.dtype.kind not in "fiu" or not np.isfinite(betas).all() or not betas.size:
-        betas = None
-    elif betas.ndim == 2:  # one shape a frame, which is the same in all
+    gender = _text(found.get("gender")).lower()
+    gender = gender if gender in GENDERS else "neutral"
+    betas = found.get("betas", np.zeros(0))
+    if betas.ndim == 2 and len(betas):  # one shape a frame, which is the same in all
         betas = betas[0]
-    if betas is None or betas.ndim != 1 or len(betas) > MAX_BETAS:
-        return None, text if text in GENDERS else "neutral"
-    return torch.from_numpy(betas.astype(np.float32)), text if text in GENDERS else "neutral"
+    if betas.dtype.kind not in "fiu" or betas.ndim != 1 or not 0 < len(betas) <= MAX_BETAS:
+        return None, gender
+    shape = torch.from_numpy(betas.astype(np.float64)).float()
+    return shape if shape.isfinite().all() else None, gender
+
+
+def _text(stored: np.ndarray | None) -> str:
+    """The text of an array that holds one, else none."""
+    if stored is None or stored.size != 1:
+        return ""
+    text = stored.item()
+    text = text.decode("utf-8", "replace") if isinstance(text, bytes) else text
+    return text.strip() if isinstance(text, str) else ""
 
 
 def _upright() -> Tensor:
