@@ -31,7 +31,7 @@ from renderers.rotations import matrix_from_6d, matrix_to_6d
 MAX_TAKES = 1000
 MAX_JOINT_FRAMES = 2_000_000  # in all takes of a file
 AT_ONCE = 256  # frames that are posed together
-SPARSE, USUAL = 10.0, 30.0  # keys rarer than the one, per second, were set by hand, and are sampled at the other
+SPARSE, USUAL = 5.0, 30.0  # keys rarer than the one, per second, were set by hand, and are sampled at the other
 CLOSE = 0.01  # of a frame: as far as seconds in 32 bits may be off
 FLAT = 1e-3  # least volume of a turned unit cube, whatever its size
 MAX_BETAS = 400

@@ -7,11 +7,12 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
+from torch.nn.functional import normalize
 
 from refine.formats.gltf import REMEDY, Gltf, shown
 from refine.formats.gltf_curves import Curve
-from renderers.checks import UserError, check_finite
-from renderers.rotations import quaternion_to_matrix
+from renderers.checks import UserError
+from renderers.rotations import axis_angle_to_matrix, quaternion_to_matrix
 
 MAX_NODES = 2048  # joints and what they hang on
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)
@@ -176,26 +177,44 @@ def _local(file: Gltf, number: int) -> tuple[Tensor, Tensor]:
 def _bind(file: Gltf, skin: Mapping[str, Any], joints: list[int], place: Mapping[int, int], world: Tensor) -> Tensor:
     """[N 4 4] the bind pose; ``world`` [N 4 4] is how the nodes stand.
 
-    Skins tell it up to one transform of the whole figure. It is put where the joint stands that agrees best with the
-    others about it, so that it is upright and of the size of the figure.
+    A skin tells its pose up to a transform of the whole figure. It is turned as little as puts it upright, and takes
+    the size that the figure has; where it looks is left as the mesh has it.
     """
     stored = file.numbers(skin["inverseBindMatrices"], "MAT4", MAX_NODES)
     if len(stored) < len(joints):
         raise UserError(file.path, f"has {len(stored)} inverse bind matrices for {len(joints)} joints", REMEDY)
     kept = [index for index, joint in enumerate(joints) if joint in place]
     places = [place[joints[index]] for index in kept]
-    inverse = torch.from_numpy(stored[kept]).reshape(-1, 4, 4).mT
+    inverse = torch.from_numpy(stored[kept]).reshape(-1, 4, 4).mT.contiguous()
     inverse[:, 3] = torch.tensor(LAST_ROW)
     bound, failed = torch.linalg.inv_ex(inverse)
-    if failed.any() or not bound.isfinite().all():
+    moved = world[places] @ inverse  # since it was bound; the same for all joints of a figure that stands so
+    if failed.any() or not bound.isfinite().all() or not moved.isfinite().all():
         raise UserError(file.path, "has an inverse bind matrix that has no inverse", REMEDY)
-    whole = world[places] @ inverse
-    check_finite(file.path, whole, "joint row column")
-    turns = whole[:, :3, :3].flatten(1)
-    best = torch.cdist(turns, turns).sum(dim=1).argmin()
-    bind = world.clone()
-    bind[places] = whole[best] @ bound
+    turned = normalize(moved[:, :3, :3], dim=1)
+    up = _nearest_axis(turned.mean(dim=0)[1])
+    whole = torch.eye(4, dtype=world.dtype)
+    whole[:3, :3] = _onto_y(up) * moved[:, :3, :3].norm(dim=1).median()
+    typical = torch.cdist(turned.flatten(1), turned.flatten(1)).sum(dim=1).argmin()
+    bind = whole @ torch.linalg.inv_ex(moved[typical])[0] @ world  # what holds the joints goes with them
+    bind[places] = whole @ bound
     return bind
+
+
+def _nearest_axis(direction: Tensor) -> Tensor:
+    """The one of x, y, z and their opposites that a direction [3] is nearest to."""
+    axis = torch.zeros_like(direction)
+    longest = direction.abs().argmax()
+    axis[longest] = 1.0 if direction[longest] >= 0 else -1.0
+    return axis
+
+
+def _onto_y(axis: Tensor) -> Tensor:
+    """[3 3] the smallest rotation that takes an axis [3] to y; from -y it goes about x."""
+    x, y, z = axis.tolist()
+    if y:
+        return torch.diag(axis.new_tensor([1.0, y, y]))
+    return axis_angle_to_matrix(torch.pi / 2 * axis.new_tensor([-z, 0.0, x])).round()
 
 
 def _floats(where: str, values: object, count: int) -> list[float]:
