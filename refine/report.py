@@ -13,14 +13,15 @@ from refine.composition import Composition
 from refine.decoupling import Trace
 from refine.drawing import strip
 from refine.stages import stage_sheets
+from refine.viewer.page import composition_page
 from renderers.body import Body
 from renderers.images import chart, contact_sheet, save_png
 from renderers.skeleton import PARTS
 
 UNIT = "mean squared joint step relative to the pelvis, m² per frame²"
 INTRODUCTION = (
-    "Two actions were put into one motion. Below, each row is one motion, from its first frame to its last: the two "
-    "actions as they were given, their blend by energies (coupled), and what was made of it."
+    "Two actions were put into one motion: the two as they were given, their blend by energies (coupled), and what "
+    "was made of it."
 )
 LOSS = (
     "The smaller, the better each action is recognised in pictures of the motion: the mean over all frames and views "
@@ -32,18 +33,6 @@ SEEN = (
     "The stages of the loss for a few moments, read from left to right. Each row asks whether one of the actions can "
     "be recognised in the composition."
 )
-
-STYLE = """
-body { font: 16px/1.5 system-ui, sans-serif; margin: 2rem auto; max-width: 76rem; padding: 0 1rem;
-       background: #f7f5f0; color: #2b2d42 }
-img { max-width: 100%; display: block; margin: 1rem 0 }
-table { border-collapse: collapse; margin: 1rem 0 }
-td, th { padding: .1rem 1.5rem .1rem 0; text-align: right; font-weight: normal }
-th:first-child { text-align: left }
-thead th { font-weight: 600; border-bottom: 1px solid #d8d4c8 }
-figure { margin: 2rem 0 } figcaption, p, li { max-width: 46rem }
-pre { overflow: auto; background: #fff; padding: 1rem }
-"""
 
 
 def measure(composition: Composition) -> dict[str, Any]:
@@ -87,7 +76,7 @@ def write_report(
 
     Args:
         folder: exists; see ``renderers.outputs.replacing_folder``.
-        body: for the shaded pictures.
+        body: for the shaded pictures and the moving bodies.
         frames: moments, evenly spread, whose every stage is drawn.
         extra: further JSON values for the report.
 
@@ -101,7 +90,8 @@ def write_report(
     for name, picture in pictures.items():
         save_png(folder / f"{name}.png", picture)
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    (folder / "report.html").write_text(page(report, folder, list(pictures)))
+    page = composition_page(composition, body, INTRODUCTION, sections(report, folder, list(pictures)))
+    (folder / "report.html").write_text(page, encoding="utf-8")
     return report
 
 
@@ -113,18 +103,15 @@ def motions_sheet(composition: Composition, body: Body, poses: int = 8, height: 
     return contact_sheet([[row] for row in rows], captions)
 
 
-def page(report: dict[str, Any], folder: Path, pictures: list[str]) -> str:
-    """One HTML page that holds the pictures of ``folder`` itself, so that it can be mailed."""
+def sections(report: dict[str, Any], folder: Path, pictures: list[str]) -> str:
+    """HTML that explains the numbers and holds the pictures of ``folder`` itself, so that it can be mailed."""
     i, j = (html.escape(clip["label"] or clip["source"]) for clip in report["sub_actions"])
-    clip = report["sub_actions"][0]
     figures = {
         name: f'<figure><img alt="{name}" src="data:image/png;base64,{in_base64(folder / f"{name}.png")}"></figure>'
         for name in pictures
     }
     stages = "".join(figures[name] for name in pictures if name.startswith("stages"))
-    return f"""<!doctype html><meta charset="utf-8"><title>{i} and {j}</title><style>{STYLE}</style>
-<h1>{i} and {j}</h1>
-<p>{html.escape(INTRODUCTION)} The motion has {clip["frames"]} frames at {clip["fps"]:g} a second.</p>
+    return f"""<h2>From the first frame to the last</h2>
 {figures["motions"]}
 <h2>Who moves what</h2>
 {table(("part", f"energy of {i}", f"energy of {j}", f"share of {i}"), energy_rows(report))}

@@ -85,11 +85,11 @@ def page(
     return re.sub(r"\{\{(\w+)\}\}", lambda match: fill[match[1]], asset("viewer.html"))
 
 
-def composition_page(composition: Composition, body: Body, poster: Tensor | None = None, below: str = "") -> str:
+def composition_page(composition: Composition, body: Body, lead: str = "", below: str = "") -> str:
     """:func:`page` of both sub-actions, the coupled motion and what was made of it, with all that the loop saw."""
     motions, roles = cast(composition)
     title = " and ".join(motion.label or role for motion, role in zip(motions[:2], roles, strict=False))
-    return page(motions, body, roles, title, poster=poster, composition=composition, below=below)
+    return page(motions, body, roles, title, f"{lead} {summary(motions)}.".lstrip(), None, composition, below)
 
 
 def cast(composition: Composition) -> tuple[list[Motion], list[str]]:

@@ -193,15 +193,19 @@ class LossCard {
 
 const superscript = (number) => [...String(number)].map((sign) => "⁻⁰¹²³⁴⁵⁶⁷⁸⁹"["-0123456789".indexOf(sign)]).join("");
 
+// As many decimals as make three figures, and no more than three.
+const plainly = (value) => value.toFixed(clamp(2 - Math.floor(Math.log10(Math.abs(value) || 1)), 0, 3));
+
 function numbersTable(table, clips) {
-  const columns = ["frames", "fps", "seconds"];
-  const further = [...new Set(clips.flatMap((clip) => Object.keys(clip.numbers)))];
-  const head = [element("td"), ...[...columns, ...further].map((name) => element("th", { scope: "col" }, name))];
+  const units = [...new Set(clips.flatMap((clip) => Object.keys(clip.numbers)))];
+  const names = [["frames"], ["fps"], ["seconds"], ...units.map((name) => name.split(", "))];
+  const heads = names.map(([name, unit]) => element("th", { scope: "col" }, name, ...(unit ? [" ", element("small", {}, unit)] : [])));
   const rows = clips.map((clip) => {
-    const values = [clip.frames, +clip.fps.toFixed(3), clip.seconds.toFixed(2), ...further.map((name) => name in clip.numbers ? figures(clip.numbers[name]) : "")];
+    const further = units.map((name) => (name in clip.numbers ? plainly(clip.numbers[name]) : ""));
     const name = element("th", { scope: "row" }, clip.label || clip.role);
     if (clip.role && clip.label) name.append(" ", element("small", {}, clip.role));
+    const values = [clip.frames, +clip.fps.toFixed(3), clip.seconds.toFixed(2), ...further];
     return element("tr", {}, name, ...values.map((value) => element("td", {}, String(value))));
   });
-  table.append(element("thead", {}, element("tr", {}, ...head)), element("tbody", {}, ...rows));
+  table.append(element("thead", {}, element("tr", {}, element("td"), ...heads)), element("tbody", {}, ...rows));
 }
