@@ -6,6 +6,7 @@ from typing import Annotated, Literal
 
 from tyro.conf import Positional, arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
 NAMED = 40  # clips that are left out and named one by one
@@ -37,6 +38,8 @@ class ImportData:
     """Unit of length; none guesses it from the height of the body, file by file."""
     fps: float | None = None
     """Frame rate, for files that have none."""
+    up: Literal["y", "z"] | None = None
+    """Axis that points up in the files; none finds it, or takes the format's."""
     mapping: Path | None = None
     """JSON file that says which joint is which, as `refine data inspect --mapping` writes it."""
     workers: int | None = None
@@ -45,8 +48,9 @@ class ImportData:
     """Replace what is there."""
     seed: int = 0
     """Taken by every verb; importing draws nothing."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result:
         from functools import partial
 
         from tqdm import tqdm
@@ -59,7 +63,7 @@ class ImportData:
         if self.out.suffix[1:].isalpha() and self.out.suffix.lower() != ".npz":
             raise UserError(self.out, "packed clips are an .npz file, or a folder", "end its name in .npz, or in none")
         refuse_existing(self.out, self.force, folder=self.out.suffix.lower() != ".npz")
-        reading = Reading(self.unit, self.fps, self.mapping)
+        reading = Reading(self.unit, self.fps, self.mapping, self.up)
         config = ImportConfig(self.label_pattern, self.labels_file, self.labels, reading, self.workers)
         progress = partial(tqdm, desc="import", unit="file", disable=None, leave=False)
         done = import_clips(self.source, self.out, body_of(None).rest_joints, config, progress)
@@ -69,9 +73,11 @@ class ImportData:
             say(f"refine: and {len(done.refused) - NAMED:,} more, {len(done.refused):,} in all")
         if done.unlabelled:
             say(f"refine: left out {done.unlabelled:,} files that {self.labels_file} does not name")
-        for label, count in done.labels.items():
-            print(f"{count:5d}  {label}")
-        print(f"{self.out}  {done.clips:,} clips, {done.frames:,} frames")
+        lines = [f"{count:5d}  {label}" for label, count in done.labels.items()]
+        lines.append(f"{self.out}  {done.clips:,} clips, {done.frames:,} frames")
+        values = {"clips": done.clips, "frames": done.frames, "labels": done.labels, "files_read": done.files}
+        refused = [str(error) for error in done.refused]
+        return Result("\n".join(lines), (self.out,), values | {"left_out": refused, "unlabelled": done.unlabelled})
 
 
 @dataclass(frozen=True)

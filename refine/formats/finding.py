@@ -9,6 +9,7 @@ from refine.formats.clips import is_shards
 from refine.formats.clips import shard_paths as shards_of
 from refine.formats.files import READ_SUFFIXES
 from refine.formats.labels import Row, read_labels
+from refine.motion import Motion
 from renderers.checks import UserError
 
 
@@ -102,3 +103,15 @@ def _rows_of_files(labels_file: Path, sources: list[str]) -> tuple[dict[str, lis
 
 def _name(path: Path, folder: Path) -> str:
     return path.relative_to(folder).as_posix()
+
+
+def sources_in(job: Job, motions: list[Motion]) -> list[str]:
+    """What the clips of a file are called: as the file, where it holds one; else by their own names in it."""
+    inner = [motion.source.removeprefix(f"{job.path.name}/") for motion in motions]
+    if inner == [str(job.path)]:
+        return [job.source]
+    if len(set(inner)) < len(inner):
+        inner = [f"{index:04d}" for index in range(len(inner))]
+    if job.whole:
+        return [motion.source for motion in motions] if len({m.source for m in motions}) == len(motions) else inner
+    return [f"{job.source}/{name}" for name in inner]

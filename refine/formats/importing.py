@@ -20,7 +20,7 @@ from torch import Tensor
 from refine.formats.actor import UESTC_ACTIONS, is_uestc, uestc_clips
 from refine.formats.clips import FRAME_BYTES, MAX_BYTES, Packed, Shards, pack, save_packed
 from refine.formats.files import Reading, load_motions
-from refine.formats.finding import Job, Plan, plan
+from refine.formats.finding import Job, Plan, plan, sources_in
 from refine.formats.labels import Row
 from refine.motion import Motion, crop
 from refine.workers import Failure, in_order, suitable
@@ -81,7 +81,7 @@ def read_job(job: Job, rest_joints: Tensor, config: ImportConfig) -> Read:
         return Read([], [error])
     pattern, largest = compiled(config.label_pattern), MAX_BYTES // FRAME_BYTES
     clips, refused = [], []
-    for motion, source in zip(motions, _sources(job, motions), strict=True):
+    for motion, source in zip(motions, sources_in(job, motions), strict=True):
         if len(motion) > largest:
             refused.append(UserError(job.path, f"has {len(motion):,} frames", f"cut it into clips of {largest:,}"))
         elif job.rows is None:
@@ -114,18 +114,6 @@ def _pieces(
         name = source if (start, stop) == (0, len(motion)) else f"{source}#{start}-{stop}"
         pieces.append(replace(crop(motion, start, stop), label=row.label, source=name))
     return pieces, refused
-
-
-def _sources(job: Job, motions: list[Motion]) -> list[str]:
-    """What the clips of a file are called: as the file, where it holds one; else by their own names in it."""
-    inner = [motion.source.removeprefix(f"{job.path.name}/") for motion in motions]
-    if inner == [str(job.path)]:
-        return [job.source]
-    if len(set(inner)) < len(inner):
-        inner = [f"{index:04d}" for index in range(len(inner))]
-    if job.whole:
-        return [motion.source for motion in motions] if len({m.source for m in motions}) == len(motions) else inner
-    return [f"{job.source}/{name}" for name in inner]
 
 
 def read_jobs(
