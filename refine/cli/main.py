@@ -16,10 +16,12 @@ from refine.cli.check_renderer import CheckRenderer
 from refine.cli.compose import Compose
 from refine.cli.data import BuildBenchmark, ImportData
 from refine.cli.demo import Demo
+from refine.cli.doctor import Doctor
 from refine.cli.evaluate import Evaluate
 from refine.cli.generate import Generate
 from refine.cli.grammar import grammar
 from refine.cli.inspect import Inspect
+from refine.cli.inspect_data import InspectData
 from refine.cli.render import Render
 from refine.cli.results import Output, Result, hushed, printable, show
 from refine.cli.train import TrainGenerator, TrainMAE
@@ -41,6 +43,7 @@ VERBS: dict[str, Any] = {
     "view": View,
     "data": {
         "": "Prepare motion data.\n\nExample: refine data import clips --out clips.npz",
+        "inspect": InspectData,
         "import": ImportData,
         "benchmark": BuildBenchmark,
     },
@@ -53,6 +56,7 @@ VERBS: dict[str, Any] = {
     "generate": Generate,
     "evaluate": Evaluate,
     "check-renderer": CheckRenderer,
+    "doctor": Doctor,
 }
 
 

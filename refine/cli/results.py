@@ -2,6 +2,7 @@
 
 import json
 import math
+import os
 import sys
 from collections.abc import Iterator
 from contextlib import contextmanager, redirect_stderr
@@ -12,6 +13,7 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
+ANSI = {"green": 32, "yellow": 33, "red": 31}
 STDOUT = "-"  # in place of an output's name; "-.npz" is standard output in that format
 
 
@@ -45,6 +47,8 @@ class Result:
     """The same and more for programs: what JSON knows, and paths. NaN and infinity become null."""
     code: int = 0
     """Exit code: 1 when what was checked was found wanting."""
+    colours: dict[str, str] = field(default_factory=dict)
+    """Colours, on a terminal, of words that begin a line."""
 
 
 def show(result: Result, output: Output, verb: str) -> None:
@@ -56,7 +60,8 @@ def show(result: Result, output: Output, verb: str) -> None:
         found = {"verb": verb, "files": [str(path) for path in result.files], **result.values}
         print(json.dumps(_plain(found), indent=2, ensure_ascii=False, allow_nan=False), file=stream)
     elif result.text:
-        print("\n".join(map(printable, result.text.split("\n"))), file=stream)
+        colours = result.colours if stream.isatty() and not os.environ.get("NO_COLOR") else {}
+        print("\n".join(_coloured(printable(line), colours) for line in result.text.split("\n")), file=stream)
 
 
 @contextmanager
@@ -81,6 +86,14 @@ def printable(line: str) -> str:
         character if character.isprintable() or character in "\t " else character.encode("unicode_escape").decode()
         for character in line.encode("utf-8", "backslashreplace").decode()
     )
+
+
+def _coloured(line: str, colours: dict[str, str]) -> str:
+    """The line with its first word in the colour it has."""
+    word = line.split(maxsplit=1)[0] if line.strip() else ""
+    if word not in colours:
+        return line
+    return line.replace(word, f"\x1b[{ANSI[colours[word]]}m{word}\x1b[0m", 1)
 
 
 def is_stdout(path: str | Path) -> bool:
