@@ -153,7 +153,8 @@ def table(report: dict) -> str:
         "Error: mean distance of the joints of the fitted rotations to the positions, on a skeleton with their bone "
         "lengths, at the size of the body. To truth: to the true rotations on the body that is fitted, pelvis on "
         "pelvis. Limbs: angle between fitted and true bones. Turn: the most that any joint turns in one frame, mean "
-        "over clips, beside the true one. Brackets: 95 % intervals over clips. Frames a second of the thread's own time.",
+        "over clips, beside the true one. Brackets: 95 % intervals over clips. Frames a second of the thread's own "
+        "time.",
     ]
     for kind in ("built-in", "real"):
         if kind not in report:
