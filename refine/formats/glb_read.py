@@ -30,6 +30,7 @@ from renderers.rotations import matrix_from_6d, matrix_to_6d
 
 MAX_TAKES = 1000
 MAX_JOINT_FRAMES = 2_000_000  # in all takes of a file
+MAX_KEYS, MAX_FILE_KEYS = 2_000_000, 8_000_000  # of a take, of a file
 AT_ONCE = 256  # frames that are posed together
 SPARSE, USUAL = 5.0, 30.0  # keys rarer than the one, per second, were set by hand, and are sampled at the other
 CLOSE = 0.01  # of a frame: as far as seconds in 32 bits may be off
@@ -84,12 +85,13 @@ def read_takes(path: str | Path, fps: float | None = None) -> list[Take]:
 
 def _takes(file: Gltf, rig: Rig, fps: float | None) -> Iterator[Take]:
     """The animations that move the skeleton, each when it is asked for."""
-    left, animations = MAX_JOINT_FRAMES // len(rig.nodes), file.entries("animations")
+    left, keys, animations = MAX_JOINT_FRAMES // len(rig.nodes), MAX_FILE_KEYS, file.entries("animations")
     nodes, found = set(rig.nodes), False
     if len(animations) > MAX_TAKES:
         raise UserError(file.path, f"has {len(animations)} animations, up to {MAX_TAKES} are read", "split it")
     for number, animation in enumerate(animations):
-        curves = read_curves(file, number, nodes)
+        curves = read_curves(file, number, nodes, min(keys, MAX_KEYS))
+        keys -= sum(curve.keys for curve in curves.values())
         if not curves:
             continue
         found, where = True, f"{file.path}, animation {number}"

@@ -42,7 +42,7 @@ class Gltf:
 
     path: Path
     document: dict[str, Any]
-    binary: bytes | None
+    binary: memoryview | None
     _entries: dict[str, list] = field(default_factory=dict, repr=False)
     _buffers: dict[int, memoryview] = field(default_factory=dict, repr=False)
 
@@ -67,7 +67,7 @@ class Gltf:
         """
         entries = self.entries(kind)
         if not is_count(index) or index >= len(entries):
-            raise UserError(self.path, f"refers to {kind} {shown(index)} of {len(entries)}", REMEDY)
+            raise UserError(self.path, f"refers to number {shown(index)} of its {len(entries)} {kind}", REMEDY)
         return entries[index]
 
     def numbers(self, index: object, element: str, limit: int) -> np.ndarray:
@@ -183,7 +183,7 @@ def read_gltf(path: str | Path) -> Gltf:
     return Gltf(path, document, binary)
 
 
-def _chunks(path: Path, content: bytes) -> tuple[bytes, bytes | None]:
+def _chunks(path: Path, content: bytes) -> tuple[bytes, memoryview | None]:
     """The JSON of a ``.glb`` and what follows it."""
     if len(content) < 20:
         raise UserError(path, f"ends after {len(content)} bytes", REMEDY)
@@ -191,14 +191,14 @@ def _chunks(path: Path, content: bytes) -> tuple[bytes, bytes | None]:
     if version != VERSION:
         raise UserError(path, f"is binary glTF {version}, only {VERSION} is read", "export it as glTF 2.0")
     if length > len(content) or kind != JSON_CHUNK or 20 + size > length:
-        raise UserError(path, f"is cut short or damaged: it claims {length} bytes and has {len(content)}", REMEDY)
+        raise UserError(path, f"is cut short or damaged: its parts are not those of its {length} bytes", REMEDY)
     rest = 20 + size
     if rest + 8 > length:
         return content[20:rest], None
     size, kind = struct.unpack_from("<I4s", content, rest)
     if rest + 8 + size > length:
         raise UserError(path, f"its second chunk claims {size} bytes and has {length - rest - 8}", REMEDY)
-    return content[20:rest], content[rest + 8 : rest + 8 + size] if kind == BINARY_CHUNK else None
+    return content[20:rest], memoryview(content)[rest + 8 : rest + 8 + size] if kind == BINARY_CHUNK else None
 
 
 def is_count(value: object) -> bool:

@@ -15,7 +15,6 @@ from renderers.rotations import slerp_quaternions
 
 PATHS = {"rotation": "VEC4", "translation": "VEC3", "scale": "VEC3"}
 INTERPOLATIONS = ("LINEAR", "STEP", "CUBICSPLINE")
-MAX_KEYS = 2_000_000  # of all curves of an animation
 
 
 @dataclass(frozen=True, eq=False)
@@ -34,6 +33,11 @@ class Curve:
     times: np.ndarray
     values: Tensor
     interpolation: str
+
+    @property
+    def keys(self) -> int:
+        """How many values it holds, tangents among them."""
+        return self.values.shape[:-1].numel()
 
     def at(self, seconds: np.ndarray, close: float) -> Tensor:
         """The property [T k] at the given seconds.
@@ -63,14 +67,14 @@ def _lerp(start: Tensor, end: Tensor, share: Tensor) -> Tensor:
     return torch.lerp(start, end, share[:, None])
 
 
-def read_curves(file: Gltf, number: int, nodes: Collection[int]) -> dict[tuple[int, str], Curve]:
+def read_curves(file: Gltf, number: int, nodes: Collection[int], limit: int) -> dict[tuple[int, str], Curve]:
     """The curves of one animation that move the given nodes, by node and path.
 
     Raises:
-        UserError: it is damaged, not finite, or has more than ``MAX_KEYS`` keys.
+        UserError: it is damaged, not finite, or has more than ``limit`` keys.
     """
     where, animation = f"{file.path}, animation {number}", file.entries("animations")[number]
-    samplers, times, curves, left = animation.get("samplers"), {}, {}, MAX_KEYS
+    samplers, times, curves, left = animation.get("samplers"), {}, {}, limit
     for node, path, sampler in _channels(where, animation, nodes):
         if (node, path) in curves:
             raise UserError(where, f"moves the {path} of node {node} twice", REMEDY)
@@ -84,7 +88,7 @@ def read_curves(file: Gltf, number: int, nodes: Collection[int]) -> dict[tuple[i
                 raise UserError(where, f"the key frames of sampler {sampler} go back in time", REMEDY)
             times[clock] = seconds
         curves[node, path] = _curve(file, f"{where}, sampler {sampler}", path, chosen, times[clock], left)
-        left -= curves[node, path].values.numel() // curves[node, path].values.shape[-1]
+        left -= curves[node, path].keys
     return curves
 
 

@@ -9,12 +9,13 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
-from refine.formats.gltf import REMEDY, Gltf, shown
+from refine.formats.gltf import REMEDY, Gltf
 from refine.formats.gltf_curves import Curve
 from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix, quaternion_to_matrix
 
 MAX_NODES = 2048  # joints and what they hang on
+FAR = 1e9
 LAST_ROW = (0.0, 0.0, 0.0, 1.0)
 DEFAULTS = {"translation": (0.0, 0.0, 0.0), "rotation": (0.0, 0.0, 0.0, 1.0), "scale": (1.0, 1.0, 1.0)}
 
@@ -219,9 +220,9 @@ def _onto_y(axis: Tensor) -> Tensor:
 
 def _floats(where: str, values: object, count: int) -> list[float]:
     values = _list(values) if not isinstance(values, tuple) else list(values)
-    fine = all(isinstance(value, int | float) and abs(value) < 1e9 for value in values)
+    fine = all(isinstance(value, int | float) and abs(value) < FAR for value in values)
     if len(values) != count or not fine:
-        raise UserError(where, f"expected {count} numbers, got {shown(values)}", REMEDY)
+        raise UserError(where, f"has a place that is not given in {count} numbers below {FAR:g}", REMEDY)
     return [float(value) for value in values]
 
 
