@@ -54,16 +54,18 @@ def summary(inspection: Inspection) -> list[tuple[str, str]]:
     """Pairs of a heading and what to say under it."""
     clips = inspection.clips
     seconds = sorted(clip.seconds for clip in clips)
-    frames, lengths = sum(clip.frames for clip in clips), f"{seconds[0]:.1f} to {seconds[-1]:.1f} s each"
+    lengths = f"{seconds[0]:.1f} to {seconds[-1]:.1f} s each, {statistics.median(seconds):.1f} in the middle"
+    frames = sum(clip.frames for clip in clips)
     total = f"{len(clips):,} with {frames:,} frames in {_duration(sum(seconds))}"
     rates = dict(Counter(f"{clip.fps:g}" for clip in clips).most_common())
     ahead = sum(abs(clip.facing) <= 45 for clip in clips)
     facing = f"{ahead:,} of {len(clips):,} clips begin facing +z"
     if len(clips) == 1:
-        facing = f"begins facing {clips[0].facing:.0f} degrees to the left of +z"
+        side = "left" if clips[0].facing >= 0 else "right"
+        facing = f"begins facing {abs(clips[0].facing):.0f} degrees to the {side} of +z"
     rows = [
         ("what", f"{inspection.source}: {_counted(inspection.count('kind'))}"),
-        ("clips", f"{total}; {lengths}, {statistics.median(seconds):.1f} in the middle"),
+        ("clips", f"{total}; {lengths}" if len(clips) > 1 else total),
         ("rate", f"{_counted(rates)} frames a second"),
         ("frame", f"{_counted(inspection.count('up'))} up; {facing}"),
         ("unit", f"{_counted(inspection.count('unit'))}, {_counted(inspection.count('unit_by'))}"),

@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sys
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
@@ -139,10 +140,10 @@ def _interrupts_held() -> Iterator[None]:
 
 def _serve(pipe: Connection, function: Callable[[Any], Any]):
     """What a process does until it is ended, or its parent is gone."""
-    import torch
-
     signal.signal(signal.SIGINT, signal.SIG_IGN)
-    torch.set_num_threads(1)
+    os.environ["OMP_NUM_THREADS"] = "1"  # for what is loaded from here on
+    if "torch" in sys.modules:
+        sys.modules["torch"].set_num_threads(1)
     while True:
         try:
             job = pipe.recv()
