@@ -68,9 +68,9 @@ class Orbit {
   // Where the eye is and what it sees, so that everything within `extent` of `centre` fits.
   view(centre, { top, aside }, aspect) {
     const tangent = Math.tan(LENS / 2);
-    const half = Math.max(top / 2, aside / aspect);
+    const half = Math.max(0.56 * top, aside / aspect);
     const distance = (half / tangent + aside * 0.3) / this.zoom;
-    const target = add(add(centre, [0, top / 2 + 0.01, 0]), this.pan);
+    const target = add(add(centre, [0, 0.49 * top, 0]), this.pan);
     const level = Math.cos(this.elevation);
     const way = [Math.sin(this.yaw) * level, Math.sin(this.elevation), Math.cos(this.yaw) * level];
     const eye = add(target, scaled(way, distance));

@@ -204,10 +204,13 @@ class Renderer {
     for (const passes of seeThrough ? [false, true] : [true]) {
       gl.colorMask(passes, passes, passes, passes); // seen through, only the nearest surface shows
       gl.depthFunc(seeThrough ? gl.LEQUAL : gl.LESS);
-      for (const { bones, tints } of actors) {
+      gl.enable(gl.POLYGON_OFFSET_FILL);
+      actors.forEach(({ bones, tints }, k) => {
+        gl.polygonOffset(-k, -24 * k); // where bodies coincide, the later is seen
         this.use(this.body, { ...look, bones, tints });
         gl.drawElements(gl.TRIANGLES, this.mesh.count, this.mesh.type, 0);
-      }
+      });
+      gl.disable(gl.POLYGON_OFFSET_FILL);
     }
     gl.depthFunc(gl.LESS);
     gl.disable(gl.CULL_FACE);

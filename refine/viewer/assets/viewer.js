@@ -16,6 +16,10 @@ function heat(share) {
   return mixed(rgb(HEAT[low]), rgb(HEAT[low + 1]), at - low);
 }
 
+function middleOf(places) {
+  return scaled(places.reduce(add), 1 / places.length);
+}
+
 class Viewer {
   constructor(data) {
     const array = unpacker(data.bytes);
@@ -124,18 +128,18 @@ class Viewer {
   }
 
   measure() {
-    const middle = [0, 0, 0];
-    let count = 0;
-    for (const clip of this.clips)
-      for (let frame = 0; frame < clip.frames; frame++, count++)
-        for (const axis of [0, 2]) middle[axis] += clip.root[3 * frame + axis];
-    this.middle = scaled(middle, 1 / count);
+    const moments = Array.from({ length: 33 }, (_, k) => (this.duration * k) / 32);
+    const places = moments.map((seconds) => this.clips.map((clip) => clip.follow(seconds)));
+    this.middle = middleOf(places.flat());
+    const apart = (at) => Math.max(...at.map((place) => Math.hypot(...subtract(place, middleOf(at)))));
+    this.spread = Math.max(...places.map(apart)); // of motions laid over one another
     this.extents = { true: extent(this.clips, true), false: extent(this.clips, false, this.middle) };
   }
 
   // What has to fit in a panel; the loop's cameras want more room than the body.
   get reach() {
-    const { top, aside } = this.extents[this.following];
+    const { top, aside: narrow } = this.extents[this.following];
+    const aside = narrow + (this.overlaid && this.following && this.only < 0 ? this.spread : 0);
     return this.cameras && this.looking ? { top: Math.max(top, 2.3), aside: Math.max(aside, 1.25) } : { top, aside };
   }
 
@@ -173,11 +177,15 @@ class Viewer {
     const [width, height] = [Math.round(canvas.clientWidth * ratio), Math.round(canvas.clientHeight * ratio)];
     if (canvas.width !== width || canvas.height !== height) Object.assign(canvas, { width, height });
     const scene = SCENES[this.dark ? "dark" : "light"];
-    for (const panel of this.panels()) {
+    const panels = this.panels();
+    const places = JSON.stringify(panels.map(({ left, top, clips }) => [left, top, clips.length]));
+    if (places !== this.places) this.labels();
+    this.places = places;
+    for (const panel of panels) {
       const [left, right] = [Math.round(panel.left * width), Math.round((panel.left + panel.width) * width)];
       const [top, bottom] = [Math.round(panel.top * height), Math.round((panel.top + panel.height) * height)];
       const box = [left, height - bottom, right - left, bottom - top];
-      const centre = this.following ? panel.clips[0].follow(this.seconds) : this.middle;
+      const centre = this.following ? middleOf(panel.clips.map((clip) => clip.follow(this.seconds))) : this.middle;
       const view = this.orbit.view(centre, this.reach, box[2] / box[3]);
       const actors = panel.clips.map((clip) => ({ clip, ...clip.pose(this.seconds), tints: this.tints(clip, scene) }));
       const lines = { under: [], among: [], over: [] };
