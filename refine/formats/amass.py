@@ -36,6 +36,7 @@ FINGERS = {
     165: ((25, 28, 31, 34), (40, 43, 46, 49)),
 }
 MODELS = {"smpl": 72, "smplh": 156, "smplx": 165}
+SMPLX_NAME = "_stageii"
 MIDDLE_FINGERS = (3, 18)  # among the 30 joints of ``pose_hand``
 PELVIS = (-0.0018, -0.2233, 0.0282)  # of SMPL's mean neutral body at rest, metres
 RATE_KEYS = ("mocap_framerate", "mocap_frame_rate", "fps")
@@ -78,12 +79,20 @@ def read_amass(path: str | Path, up: str = "z", fps: float | None = None) -> Mot
     return Motion(rotations.float(), root.float(), rate, _text(arrays.get("label")), str(path), betas, gender)
 
 
-def write_amass(path: str | Path, motion: Motion, model: str = "smplh") -> None:
+def write_amass(path: str | Path, motion: Motion, model: str | None = None) -> None:
     """Write a motion, with both spellings of the frame rate and a shape of at least 16 numbers.
 
     SMPL-H's layout (156 wide) is what programs for AMASS read. The SMPL-X add-on for Blender asks for all 55 joints of
-    ``model="smplx"`` (165 wide), which is written as AMASS's own SMPL-X files are, body and hands apart as well.
+    SMPL-X (165 wide), which are written as AMASS's own SMPL-X files are, body and hands apart as well.
+
+    Args:
+        model: "smpl", "smplh" or "smplx"; none goes by the name, as AMASS's files are named: SMPL-X for what ends in
+            ``_stageii.npz``, else SMPL-H.
+
+    Raises:
+        UserError: another model, or the file cannot be written.
     """
+    model = model or ("smplx" if Path(path).stem.endswith(SMPLX_NAME) else "smplh")
     check_known("write_amass(model)", model, MODELS)
     width = MODELS[model]
     upright = _upright()

@@ -197,6 +197,13 @@ def test_every_layout_comes_back(tmp_path, motion, model, rest_joints):
     assert back.fps == motion.fps and len(back) == len(motion)
 
 
+@pytest.mark.parametrize(("name", "width"), [("walk_stageii.npz", 165), ("walk_poses.npz", 156), ("stageii.npz", 156)])
+def test_names_tell_the_layout_as_amass_s_do(tmp_path, motion, name, width):
+    write_amass(tmp_path / name, motion)
+    with np.load(tmp_path / name) as data:
+        assert data["poses"].shape[1] == width
+
+
 def test_a_layout_that_is_none(tmp_path, motion):
     with pytest.raises(UserError, match="unknown name 'smplq'; did you mean"):
         write_amass(tmp_path / "a.npz", motion, "smplq")
