@@ -1,5 +1,6 @@
 """The Motion value: one clip of one body, and the plain operations on it."""
 
+import math
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -72,6 +73,34 @@ def crop(motion: Motion, start: int, stop: int) -> Motion:
     if not 0 <= start < stop <= len(motion):
         raise UserError(motion.source, f"has {len(motion)} frames, {start} to {stop} asked for", "choose frames inside")
     return replace(motion, rotations=motion.rotations[start:stop], root=motion.root[start:stop])
+
+
+def cut(motion: Motion, start: float = 0.0, seconds: float | None = None) -> Motion:
+    """The stretch of ``seconds`` from ``start``, to the nearest frames; none goes to the end.
+
+    Nothing is made up: a stretch that reaches beyond the clip is refused, not filled with its last pose.
+
+    Raises:
+        UserError: it begins or ends outside the clip, or holds no frame.
+    """
+    first = round(start * motion.fps) if math.isfinite(start) else -1
+    asked = motion.seconds - start if seconds is None else seconds
+    count = round(asked * motion.fps) if math.isfinite(asked) else 0
+    if first < 0 or first >= len(motion):
+        problem = f"lasts {motion.seconds:.4g} s, a start at {start:g} s was asked for"
+        raise UserError(motion.source, problem, "start inside the clip")
+    if count < 1 or first + count > len(motion):
+        left = (len(motion) - first) / motion.fps
+        problem = f"has {left:.4g} s from {start:g} s on, {asked:g} s were asked for"
+        raise UserError(motion.source, problem, f"ask for at most {left:.4g}")
+    return crop(motion, first, first + count)
+
+
+def in_place(motion: Motion) -> Motion:
+    """Without its travel: the pelvis stays where it is in the first frame; its height and all turns are kept."""
+    root = motion.root.clone()
+    root[:, [0, 2]] = motion.root[0, [0, 2]]
+    return replace(motion, root=root)
 
 
 def resample(motion: Motion, fps: float) -> Motion:

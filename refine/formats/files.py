@@ -15,6 +15,7 @@ from refine.formats.fbx import blender_python, write_fbx
 from refine.formats.glb import write_glb
 from refine.formats.glb_read import read_glb
 from refine.formats.joints import read_joints, write_joints
+from refine.formats.motion_json import read_motion_json, write_motion_json
 from refine.formats.untrusted import kind_of
 from refine.mapping import mapping_of, read_mapping
 from refine.motion import Motion
@@ -77,8 +78,9 @@ READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {
     "gltf": read_one_glb,
     "npy": read_one_npy,
     "pickle": read_one_pickle,
+    "json": lambda path, _rest_joints, _reading: [read_motion_json(path)],
 }
-READ_SUFFIXES = (".bvh", ".npz", ".glb", ".gltf", ".npy")
+READ_SUFFIXES = (".bvh", ".npz", ".glb", ".gltf", ".npy", ".json")
 # By suffix.
 WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
     ".bvh": lambda path, motion, body: write_bvh(path, motion, body.rest_joints),
@@ -86,6 +88,7 @@ WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
     ".glb": write_glb,
     ".fbx": write_fbx,
     ".npy": write_joints,
+    ".json": write_motion_json,
 }
 SUFFIXES = tuple(WRITERS)
 KNOWN = f"known are {' and '.join(SUFFIXES)}"

@@ -1,0 +1,204 @@
+"""``refine export``: motions in any format that others read."""
+
+from dataclasses import dataclass, replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Literal
+
+from tyro.conf import Positional, arg
+
+from refine.cli.results import AS_LINES, Printed, Result
+from renderers.checks import UserError
+
+if TYPE_CHECKING:
+    from refine.formats.files import Reading
+    from refine.motion import Motion
+    from renderers.body import Body
+
+PICTURES = (".mp4", ".gif", ".png")
+FILM_FPS = {".mp4": 30.0, ".gif": 20.0}  # at most
+POSES = 8
+
+
+@dataclass(frozen=True)
+class Export:
+    """Write motions in the format of the output's suffix.
+
+    For programs: .bvh (skeleton and motion, centimetres), .glb (mesh, skin, skeleton and motion in one file), .fbx (by
+    Blender's module, see BPY_PYTHON), .npz (AMASS, SMPL-H's layout), .npy (joint positions), .json. To look at: .mp4,
+    .gif, .png (poses along the path). With --format, a folder with a file for each motion; obj is there a folder with a
+    mesh for each frame.
+
+    Example: refine export both.bvh -o both.glb
+
+    Example: refine export 'clips/*.bvh' -o exported --format glb --fps 30 --in-place
+    """
+
+    motions: Positional[tuple[str, ...]]
+    """Motion files, patterns of these, - for standard input, or names of built-in actions. Several need --format, or an
+    output in .glb, which holds each as a take."""
+    out: Annotated[Path, arg(aliases=["-o"])]
+    """File to write, or with --format a folder; - writes BVH to standard output, -.json another format."""
+    format: Literal["bvh", "glb", "fbx", "npz", "npy", "json", "obj", "mp4", "gif", "png"] | None = None
+    """Write a folder with files in this format."""
+    start: float = 0.0
+    """Seconds that are left out at the beginning."""
+    seconds: float | None = None
+    """Length; more than there is is refused. None goes to the end."""
+    fps: float | None = None
+    """Frame rate to resample to: rotations by slerp, places linearly."""
+    mirror: bool = False
+    """Exchange left and right."""
+    in_place: bool = False
+    """Take out the travel; height and turns stay."""
+    unit: Literal["m", "cm", "mm", "in"] | None = None
+    """Unit of length of files that do not say it; none guesses it from the body's height."""
+    up: Literal["y", "z"] | None = None
+    """Axis that points up in files that do not say it."""
+    source_fps: float | None = None
+    """Frame rate of files that have none."""
+    mapping: Path | None = None
+    """JSON file that says which joint is which, as `refine data inspect --mapping` writes it."""
+    body: Path | None = None
+    """Your SMPL file instead of the free body: its mesh, and its bones' lengths."""
+    force: bool = False
+    """Replace the file or folder if it is there."""
+    seed: int = 0
+    """Of built-in actions."""
+    output: Printed = AS_LINES
+
+    def run(self) -> Result:
+        from refine.cli.inputs import body_of, output_path, output_suffix
+        from refine.formats.files import Reading
+
+        suffix = f".{self.format}" if self.format else output_suffix(self.out)
+        self.check(suffix)
+        body = body_of(self.body, "full")
+        reading = Reading(self.unit, self.source_fps, self.mapping, self.up)
+        motions = [self.changed(motion) for motion in motions_of(self.motions, body, reading, self.seed)]
+        values = {
+            "motions": [
+                {"label": motion.label, "source": motion.source, "frames": len(motion), "fps": motion.fps}
+                for motion in motions
+            ]
+        }
+        if self.format:
+            made = write_folder(self.out, motions, body, suffix)
+            files = tuple(self.out / name for name in made)
+        else:
+            if len(motions) > 1 and suffix != ".glb":
+                problem = f"{len(motions)} motions do not go into one {suffix} file"
+                raise UserError(self.out, problem, f"add --format {suffix[1:]}, and name a folder; .glb takes several")
+            with output_path(self.out) as path:
+                write_one(path, motions, body, suffix)
+            files = (self.out,)
+        frames = sum(map(len, motions))
+        kinds = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
+        rates = " or ".join(f"{fps:g}" for fps in sorted({motion.fps for motion in motions}))
+        return Result(f"{self.out}  {kinds}, {frames:,} frames at {rates} fps", files, values)
+
+    def check(self, suffix: str) -> None:
+        """Refuse before any work what would be refused after it."""
+        from refine.cli.inputs import refuse_output
+        from refine.formats.files import SUFFIXES, check_suffix
+        from renderers.outputs import refuse_existing
+
+        if not self.format and suffix == ".obj":
+            raise UserError(self.out, "is one file, and .obj is one a frame", "name a folder and add --format obj")
+        if not self.format and suffix not in (*SUFFIXES, *PICTURES):
+            known = " ".join((*SUFFIXES, *PICTURES))
+            raise UserError(self.out, f"no format has the suffix '{suffix}'", f"known are {known}, and --format obj")
+        if suffix in SUFFIXES:
+            check_suffix(f"x{suffix}")
+        if self.format:
+            refuse_existing(self.out, self.force, folder=True)
+        else:
+            refuse_output(self.out, self.force)
+
+    def changed(self, motion: "Motion") -> "Motion":
+        """The motion as the flags want it."""
+        from refine.motion import cut, in_place, mirror, resample
+
+        motion = cut(motion, self.start, self.seconds)
+        if self.fps is not None:
+            motion = resample(motion, self.fps)
+        if self.mirror:
+            motion = mirror(motion)
+        return in_place(motion) if self.in_place else motion
+
+
+def motions_of(names: tuple[str, ...], body: "Body", reading: "Reading", seed: int) -> list["Motion"]:
+    """Every motion of every file, and built-in actions."""
+    from refine.cli.inputs import STDIN, clip_of, expand, input_path
+    from refine.formats.files import load_motions
+
+    motions: list[Motion] = []
+    for name in expand(names):
+        if str(name) == STDIN:
+            with input_path(name) as path:
+                read = load_motions(path, body.rest_joints, reading)
+            motions += [replace(motion, source="standard input") for motion in read]
+        elif name.exists() or name.suffix:
+            motions += load_motions(name, body.rest_joints, reading)
+        else:
+            motions.append(clip_of(str(name), body.rest_joints, seed))
+    return motions
+
+
+def write_one(path: Path, motions: list["Motion"], body: "Body", suffix: str) -> None:
+    """One file; only a .glb may hold several motions."""
+    from refine.formats.files import WRITERS
+    from refine.formats.glb import write_glb
+
+    if suffix == ".glb":
+        write_glb(path, motions, body)
+    elif suffix in PICTURES:
+        write_picture(path, motions[0], body, suffix)
+    else:
+        WRITERS[suffix](path, motions[0], body)
+
+
+def write_picture(path: Path, motion: "Motion", body: "Body", suffix: str) -> None:
+    """A film at the motion's own rate or the format's highest, or one picture of poses along the path."""
+    from refine.cli.inputs import bar
+    from refine.drawing import film, strobe
+    from renderers.images import save_gif, save_mp4, save_png
+
+    if suffix == ".png":
+        save_png(path, strobe(motion, body, min(POSES, len(motion))))
+        return
+    fps = min(motion.fps, FILM_FPS[suffix])
+    with bar(max(1, round(motion.seconds * fps)), "draw") as progress:
+        moments = film([motion], body, fps=fps, progress=progress)
+    (save_gif if suffix == ".gif" else save_mp4)(path, [picture for [picture] in moments], fps)
+
+
+def write_folder(out: Path, motions: list["Motion"], body: "Body", suffix: str) -> list[str]:
+    """A file for each motion, of .obj a folder; the names, in the order of the motions."""
+    from refine.cli.inputs import bar
+    from refine.formats.obj import write_obj_sequence
+    from renderers.outputs import replacing_folder
+
+    names = stems(motions)
+    steps = sum(map(len, motions)) if suffix == ".obj" else len(motions)
+    with replacing_folder(out) as partial, bar(steps, "export") as progress:
+        for name, motion in zip(names, motions, strict=True):
+            if suffix == ".obj":
+                (partial / name).mkdir()
+                write_obj_sequence(partial / name, motion, body, progress)
+            else:
+                write_one(partial / f"{name}{suffix}", [motion], body, suffix)
+                progress()
+    return [name if suffix == ".obj" else f"{name}{suffix}" for name in names]
+
+
+def stems(motions: list["Motion"]) -> list[str]:
+    """A file name for each motion, from its file or else its label; names that are taken are numbered."""
+    from refine.cli.generate import file_stem
+
+    found: list[str] = []
+    for motion in motions:
+        source = Path(motion.source)
+        name = file_stem(source.stem if source.suffix else motion.label or motion.source) or "motion"
+        numbered = (f"{name}_{number:03d}" for number in range(2, len(motions) + 2))
+        found.append(name if name not in found else next(one for one in numbered if one not in found))
+    return found
