@@ -21,6 +21,7 @@ from refine.formats.actor import (
     uestc_clips,
     video_of,
 )
+from refine.formats.files import load_motions
 from renderers.checks import UserError
 
 HALF_TURN = np.array([np.pi, 0.0, 0.0])  # someone who stands upright before a camera with y down
@@ -116,6 +117,12 @@ def test_another_humanact_file_is_refused_in_one_line(humanact_file, rest_joints
     with pytest.raises(UserError) as caught:
         read_humanact(humanact_file({**humanact(), **change}), rest_joints)
     assert said in str(caught.value) and "\n" not in str(caught.value)
+
+
+def test_what_it_holds_makes_it_humanact(tmp_path, humanact_file, rest_joints):
+    """Under any name, through the one table of readers."""
+    path = humanact_file(humanact()).rename(tmp_path / "clips.bin")
+    assert [motion.label for motion in load_motions(path, rest_joints)] == ["walk", "phone"]
 
 
 def test_a_list_is_no_humanact_file(humanact_file, rest_joints):
