@@ -102,9 +102,7 @@ def cast(composition: Composition) -> tuple[list[Motion], list[str]]:
 
 def check_motions(motions: Sequence[Motion]) -> None:
     if not 1 <= len(motions) <= MOST:
-        raise UserError(
-            "the page", f"shows 1 to {MOST} motions beside one another, not {len(motions)}", "leave some out"
-        )
+        raise UserError("the page", f"shows 1 to {MOST} motions at once, not {len(motions)}", "give more or fewer")
     frames = sum(map(len, motions))
     if frames > LONGEST:
         raise UserError("the page", f"would hold {frames} frames, {LONGEST} are the most", "crop the motions")
