@@ -98,8 +98,8 @@ def _numbers(path: str | Path, found: dict, key: str, shape: tuple[int, ...]) ->
     """[N *shape] float64."""
     rows = found.get(key)
     if not isinstance(rows, list) or not rows or not all(_fits(row, shape) for row in rows):
-        size = " by ".join(map(str, ("any number", *shape)))
-        raise UserError(path, f"'{key}' is no list of {size} finite numbers", REMEDY)
+        size = " by ".join(map(str, ("frames", *shape)))
+        raise UserError(path, f"'{key}' is no list of finite numbers, {size}", REMEDY)
     return torch.tensor(rows, dtype=torch.float64)
 
 

@@ -5,7 +5,7 @@ import math
 import pytest
 import torch
 
-from refine.motion import Motion, canonicalise, crop, from_features, mirror, resample, to_features
+from refine.motion import Motion, canonicalise, crop, cut, from_features, in_place, mirror, resample, to_features
 from renderers.checks import ShapeError, UserError
 from renderers.rotations import axis_angle_to_matrix, heading, rotation_about
 from renderers.skeleton import JOINTS, MIRRORED
@@ -154,3 +154,25 @@ def test_features_take_batches(motion):
     torch.testing.assert_close(to_features(six, root)[2], to_features(motion.six, motion.root))
     with pytest.raises(ShapeError, match=r"root\): expected shape \[\.\.\. T 3\] with T=20, got \[19, 3\]"):
         to_features(motion.six, motion.root[1:])
+
+
+# --- stretches and places -------------------------------------------------------------------------------------------
+
+
+def test_a_stretch_is_cut_at_the_nearest_frames(generator):
+    motion = Motion(torch.eye(3).expand(30, 24, 3, 3), torch.arange(90.0).reshape(30, 3), 10.0)
+    assert torch.equal(cut(motion).root, motion.root)
+    assert torch.equal(cut(motion, 0.52, 1.0).root, motion.root[5:15])
+    assert torch.equal(cut(motion, 2.0).root, motion.root[20:])
+    assert len(cut(motion, 0.0, 3.04)) == 30  # the nearest frame is the last one
+    for start, seconds in ((0.0, 3.06), (2.5, 0.6), (3.0, None), (-0.1, 1.0), (0.0, 0.0), (0.0, -1.0), (0.0, math.inf)):
+        with pytest.raises(UserError, match=r"lasts 3 s|were asked for; ask for at most"):
+            cut(motion, start, seconds)
+
+
+def test_in_place_takes_out_the_travel_alone(generator):
+    rotations = axis_angle_to_matrix(torch.randn(5, 24, 3, generator=generator))
+    motion = Motion(rotations, torch.randn(5, 3, generator=generator), 30.0)
+    still = in_place(motion)
+    assert torch.equal(still.root[:, 1], motion.root[:, 1]) and torch.equal(still.rotations, motion.rotations)
+    assert torch.equal(still.root[:, [0, 2]], motion.root[:1, [0, 2]].expand(5, 2))
