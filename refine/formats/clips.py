@@ -118,11 +118,11 @@ def is_packed(path: str | Path) -> bool:
 class Shards:
     """Clips into ``clips-00000.npz``, ``clips-00001.npz`` and so on in a folder, as they come, and a manifest.
 
-    Each file holds whole clips: as many as fit into ``frames`` frames, at least one.
+    Each file holds whole clips: as many as fit into ``frames`` frames (`SHARD_FRAMES`), at least one.
     """
 
-    def __init__(self, folder: Path, frames: int = SHARD_FRAMES):
-        self.folder, self.frames = folder, frames
+    def __init__(self, folder: Path, frames: int | None = None):
+        self.folder, self.frames = folder, frames or SHARD_FRAMES
         self.held: list[Packed] = []
         self.held_frames = 0
         self.files: dict[str, dict[str, Any]] = {}
