@@ -5,6 +5,7 @@ the hips to between the shoulders, left is where the left ones are, forward is a
 [... J 3] world joints and [... J 3 3] world rotations in the file's axes; ``joints`` maps SMPL's names to indices.
 """
 
+import math
 from collections.abc import Mapping
 from itertools import pairwise
 from typing import NamedTuple
@@ -14,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from refine.formats.bvh import Bvh, world
-from refine.skeletons import SIDES, Place
+from refine.skeletons import LIMBS, SIDES, Place, Y, Z
 from renderers.skeleton import JOINTS
 
 Joints = Mapping[str, int]
@@ -38,8 +39,12 @@ UPWARDS = ("y", "z", "-y", "-z")  # the axes of world that files have up
 STANDS = 0.7
 # Frames that stand nearly as straight as the straightest.
 NEARLY = 0.01
-BENT = 25.0  # degrees from which a knee or an elbow shows its hinge
-SNAP = 25.0  # degrees within which the axis of a joint is taken for meant
+BENT = 15.0  # degrees from which a knee or an elbow shows its hinge
+AGREED = 0.7  # how far the frames must agree on it
+ALONG = 0.985  # the cosine from which a bone lies along an axis of its joint
+SNAP = 50.0  # degrees within which an axis of a joint is taken for the one that is meant
+FAR = 75.0  # degrees up to which it is taken for that of the joint before
+SAME_AXES = (("hip", "knee"), ("shoulder", "elbow"), ("elbow", "wrist"))
 TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head", "left_collar", "right_collar")
 
 
@@ -154,7 +159,7 @@ def knees_ahead(motion: Poses, joints: Joints) -> float | None:
         thigh = bone(motion.points, joints, f"{side}_hip", f"{side}_knee")
         shank = bone(motion.points, joints, f"{side}_knee", f"{side}_ankle")
         aside = shank - (shank * thigh).sum(-1, keepdim=True) * thigh
-        bent = (thigh * shank).sum(-1) < torch.cos(torch.deg2rad(torch.tensor(BENT))).item()
+        bent = (thigh * shank).sum(-1) < math.cos(math.radians(BENT))
         found.append(-(normalize(aside, dim=-1) * forward(motion.points, joints)).sum(-1)[bent])
     values = torch.cat(found)
     return values.mean().item() if len(values) else None
@@ -196,10 +201,8 @@ def places(bvh: Bvh, joints: Joints, poses: Poses, up: str, is_rest: bool, ours:
     frames |= _limb_frames(bvh, chosen, joints, frames, rest)
     local = {name: _mean(chosen.turns[:, joints[name]].mT @ frame) for name, frame in frames.items() if name in joints}
     if not is_rest:
-        local = {
-            name: _snapped(turn) if name in TRUNK and "collar" not in name else turn for name, turn in local.items()
-        }
         local |= _hinges(poses, joints, rest)
+        local = _snapped(bvh, joints, local, rest)
     local |= _feet(bvh, chosen if is_rest else poses, joints, up, is_rest, rest)
     return {
         name: Place(bvh.names[joints[name]], tuple(turn[:, 1].tolist()), tuple(turn[:, 2].tolist()))
@@ -258,21 +261,16 @@ def _hinges(poses: Poses, joints: Joints, rest: dict[str, Tensor]) -> dict[str, 
         for upper, lower, end, sign in (("hip", "knee", "ankle", -1.0), ("shoulder", "elbow", "wrist", 1.0)):
             upper, lower, end = (f"{side}_{joint}" for joint in (upper, lower, end))
             first, second = bone(poses.points, joints, upper, lower), bone(poses.points, joints, lower, end)
-            bent = (first * second).sum(-1) < torch.cos(torch.deg2rad(torch.tensor(BENT))).item()
-            if not bent.any():
+            bend = torch.linalg.cross(first, second)  # the longer, the more it says
+            if bend.norm(dim=-1).max() < math.sin(math.radians(BENT)):
                 continue
-            hinge = normalize(sign * torch.linalg.cross(first, second)[bent], dim=-1)
-            for joint, along, far in ((upper, first[bent], lower), (lower, second[bent], end)):
-                turns = poses.turns[bent][:, joints[joint]]
-                ahead = (turns.mT @ torch.linalg.cross(hinge, along)[..., None])[..., 0].mean(dim=0)
-                if ahead.norm() < 0.7:  # its frames disagree: no hinge
+            for joint, along, far in ((upper, first, lower), (lower, second, end)):
+                turns, ours = poses.turns[:, joints[joint]], rest[far] - rest[joint]
+                aheads = (turns.mT @ torch.linalg.cross(sign * bend, along)[..., None])[..., 0]
+                if aheads.sum(dim=0).norm() < AGREED * aheads.norm(dim=-1).sum():
                     continue
-                local = (turns.mT @ along[..., None])[..., 0].mean(dim=0)
-                frame = frame_of(local, _snapped_across(normalize(ahead, dim=0), local))
-                found[joint] = frame @ frame_of(rest[far] - rest[joint], rest[joint].new_tensor([0.0, 0.0, 1.0])).mT
-        if f"{side}_elbow" in found:
-            forearm = poses.turns[:, joints[f"{side}_elbow"]].mT @ poses.turns[:, joints[f"{side}_wrist"]]
-            found[f"{side}_wrist"] = _mean(forearm).mT @ found[f"{side}_elbow"]
+                bone_there = (turns.mT @ along[..., None])[..., 0].mean(dim=0)
+                found[joint] = frame_of(bone_there, aheads.sum(dim=0)) @ frame_of(ours, ours.new_tensor(Z)).mT
     return found
 
 
@@ -288,9 +286,9 @@ def _feet(bvh: Bvh, poses: Poses, joints: Joints, up: str, is_rest: bool, rest: 
             low = poses.take(height <= height.quantile(0.1))
         theirs, ahead = tip_of(bvh, low, joints, ankle), forward(low.points, joints)
         ours = (rest[foot] - rest[ankle]) * rest[foot].new_tensor([1.0, 0.0, 1.0])
-        if theirs is None or ((theirs @ vertical).abs() > 0.95).any() or (theirs * ahead).sum(-1).min() < 0.3:
-            theirs, ours = ahead, rest[foot].new_tensor([0.0, 0.0, 1.0])
-        frame = frame_of(vertical.expand_as(theirs), theirs) @ frame_of(rest[foot].new_tensor([0.0, 1.0, 0.0]), ours).mT
+        if theirs is None or ((theirs @ vertical).abs() > 0.95).any() or (theirs * ahead).sum(-1).median() < 0.3:
+            theirs, ours = ahead, ours.new_tensor(Z)
+        frame = frame_of(vertical.expand_as(theirs), theirs) @ frame_of(ours.new_tensor(Y), ours).mT
         for name in (ankle, foot):
             if name in joints:
                 found[name] = _mean(low.turns[:, joints[name]].mT @ frame)
@@ -326,17 +324,32 @@ def _mean(turns: Tensor) -> Tensor:
     return left @ torch.diag(torch.stack([torch.ones_like(sign), torch.ones_like(sign), sign])) @ right
 
 
-def _snapped(turn: Tensor) -> Tensor:
-    """The rotation [3 3] of signed axes that ``turn`` is near, or itself."""
-    columns = torch.stack([turn.new_tensor(AXES[axis_of(column)]) for column in turn.mT], dim=1)
-    trace = (columns * turn).sum()
-    near = torch.linalg.det(columns) > 0.5 and (trace - 1) / 2 > torch.cos(torch.deg2rad(torch.tensor(SNAP)))
-    return columns if near else turn
+def _snapped(bvh: Bvh, joints: Joints, local: dict[str, Tensor], rest: dict[str, Tensor]) -> dict[str, Tensor]:
+    """Local T-pose axes [3 3] put on the axes of the joints that they are near, in a rig whose limbs lie along axes.
+
+    Such a rig has the same axes all along a limb, which says more than a head that is turned or a hand that is bent.
+    """
+    bones = {start: bvh.positions[:, joints[end]].mean(dim=0) for start, end in LIMBS.items()}
+    if any(normalize(bone, dim=0).abs().max() < ALONG for bone in bones.values()):
+        return local
+    before = {f"{side}_{after}": f"{side}_{joint}" for side in SIDES for joint, after in SAME_AXES}
+    before["head"] = "neck"
+    axes: dict[str, Tensor] = {}
+    for name, turn in local.items():
+        nearest = torch.stack([turn.new_tensor(AXES[axis_of(column)]) for column in turn.mT], dim=1)
+        if before.get(name) in axes and (name.endswith("wrist") or _apart(axes[before[name]], turn) < FAR):
+            axes[name] = axes[before[name]]
+        elif "collar" not in name and _apart(nearest, turn) < SNAP:
+            axes[name] = nearest
+    snapped = local | axes
+    for name in set(axes) & set(bones):  # the bone itself, and the axis ahead
+        ours = rest[LIMBS[name]] - rest[name]
+        snapped[name] = frame_of(bones[name], axes[name][:, 2]) @ frame_of(ours, ours.new_tensor(Z)).mT
+    return snapped
 
 
-def _snapped_across(vector: Tensor, along: Tensor) -> Tensor:
-    """The axis nearest to ``vector`` [3] if the bone ``along`` [3] lies on an axis too: hinges of such rigs do."""
-    if normalize(along, dim=0).abs().max() < 0.985:
-        return vector
-    nearest = vector.new_tensor(AXES[axis_of(vector)])
-    return nearest if nearest @ vector > 0.9 else vector
+def _apart(first: Tensor, second: Tensor) -> float:
+    """Degrees between two rotations [3 3]; 180 if one of them is none."""
+    if torch.linalg.det(first) < 0.5:
+        return 180.0
+    return torch.rad2deg(torch.acos((((first * second).sum() - 1) / 2).clamp(-1, 1))).item()

@@ -168,11 +168,12 @@ def _pairs(tree: Tree) -> list[Pair]:
 
 
 def _ways(pairs: list[Pair]) -> Iterator[tuple[Pair, Pair]]:
-    """(legs, arms): two pairs, no joint of which is another's."""
+    """(legs, arms): two pairs, no joint of which is another's; which arm is on a leg's side is open."""
     for legs, arms in permutations(pairs, 2):
         members, others = ({joint for chain in pair.chains for joint in chain} for pair in (legs, arms))
         if not members & others and legs.attach not in others and arms.attach not in members:
             yield legs, arms
+            yield legs, arms._replace(chains=arms.chains[::-1])
 
 
 def _limbs(legs: Pair, arms: Pair, three: dict[tuple[int, ...], tuple[int, int, int] | None]) -> dict[str, int]:
