@@ -8,6 +8,7 @@ import os
 import shutil
 import subprocess
 import tempfile
+from dataclasses import replace
 from pathlib import Path
 
 from refine.formats.glb import write_glb
@@ -35,7 +36,7 @@ def write_fbx(path: str | Path, motion: Motion, body: Body) -> None:
     python = blender_python()
     with tempfile.TemporaryDirectory(prefix="refine-fbx-") as folder:
         source, target = Path(folder, "motion.glb"), Path(folder, "motion.fbx")
-        write_glb(source, motion, body)
+        write_glb(source, replace(motion, fps=max(round(motion.fps), 1)), body)
         done = _run([python, "-I", str(SCRIPT), str(source), str(target), repr(motion.fps)], SECONDS, folder)
         if done.returncode != 0 or not target.is_file():
             last = (done.stderr.strip() or done.stdout.strip() or "no message").splitlines()[-1][:200]
