@@ -119,12 +119,13 @@ def fit_joints(
         raise UserError(source, f"frame rate {fps} is not a number of frames per second")
     rest = rest_joints.detach().to("cpu", torch.float64)
     joints, seen = _arranged(positions.detach().to("cpu", torch.float64), layout)
-    swapped = _feet_point_back(joints)
+    step = len(joints) // BLOCK + 1  # of a long clip some frames are measured
+    swapped = _feet_point_back(joints[::step])
     if swapped:
         joints = joints[:, list(MIRRORED)]
-    model = measured_skeleton(joints, seen, layout.rest, rest, source)
+    model = measured_skeleton(joints[::step], seen, layout.rest, rest, source)
     scale = leg_length(rest) / leg_length(model)
-    stretch, noise = unsteadiness(joints, seen)
+    stretch, noise = unsteadiness(joints[::step], seen)
     parts = [
         _fit(joints[start:stop], inner, seen, model, rest, noise, fps, config)
         for start, stop, inner in _blocks(len(joints), max(_reach(span, fps) for span in config.spans))

@@ -25,7 +25,8 @@ from renderers.checks import UserError, check_finite, check_known, check_shapes
 from renderers.outputs import replacing
 from renderers.rotations import rotation_about
 
-MAX_BYTES = 1 << 28  # two hundred thousand frames of 52 joints in double precision
+MAX_FRAMES = 200_000  # almost three hours at HumanML3D's rate; they take a gigabyte while they are fitted
+MAX_BYTES = MAX_FRAMES * 55 * 3 * 8 + 10_000
 FEATURES = {12 * joints - 1: joints for joints in (22, 21)}
 STRETCHED = 0.3  # bones that change their lengths by more are those of no body
 REMEDY = "give positions [frames joints 3] of 24 (SMPL), 22 (HumanML3D) or 21 (KIT) joints, or features of 263 or 251"
@@ -48,6 +49,8 @@ def read_joints(path: str | Path, rest_joints: Tensor, fps: float | None = None,
     if stored.dtype.kind not in "fiu":
         raise UserError(path, f"holds {stored.dtype}, not numbers", REMEDY)
     stored = stored[0] if stored.ndim == 4 and len(stored) == 1 else stored
+    if stored.ndim and len(stored) > MAX_FRAMES:
+        raise UserError(path, f"has {len(stored):,} frames, more than the {MAX_FRAMES:,} that are read", "cut it")
     if stored.ndim == 2 and stored.shape[1] in FEATURES:
         check_finite(path, stored, "frame feature")
         positions = positions_from_features(torch.from_numpy(stored.astype(np.float64)))

@@ -144,6 +144,8 @@ def test_features_of_another_width():
         (np.zeros((2, 4, 22, 3)), r"has shape \[2, 4, 22, 3\]"),
         (np.zeros(263), r"has shape \[263\]"),
         (np.zeros((0, 22, 3)), "has no frames"),
+        (np.zeros((200_001, 22, 3), np.int8), "has 200,001 frames, more than the 200,000 that are read; cut it"),
+        (np.array(1.0), r"has shape \[\]"),
         (np.full((4, 22, 3), np.nan), "value nan at frame 0, joint 0, coordinate 0"),
         (np.full((4, 263), np.inf), "value inf at frame 0, feature 0"),
         (np.array([["a"]]), "holds <U1, not numbers"),
