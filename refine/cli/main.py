@@ -5,19 +5,22 @@ import os
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
+from dataclasses import dataclass
 from importlib.metadata import version
 from io import BytesIO, TextIOWrapper
 from typing import Any
 
-from tyro.conf import CascadeSubcommandArgs, FlagCreatePairsOff, PositionalMetavarFromFieldName
+from tyro.conf import CascadeSubcommandArgs, FlagCreatePairsOff, Positional, PositionalMetavarFromFieldName
 from tyro.extras import SubcommandApp
 
 from refine.cli.check_renderer import CheckRenderer
+from refine.cli.completion import Shell, script
 from refine.cli.compose import Compose
 from refine.cli.data import BuildBenchmark, ImportData
 from refine.cli.demo import Demo
 from refine.cli.doctor import Doctor
 from refine.cli.evaluate import Evaluate
+from refine.cli.export import Export
 from refine.cli.generate import Generate
 from refine.cli.grammar import grammar
 from refine.cli.inspect import Inspect
@@ -41,6 +44,7 @@ VERBS: dict[str, Any] = {
     "inspect": Inspect,
     "render": Render,
     "view": View,
+    "export": Export,
     "data": {
         "": "Prepare motion data.\n\nExample: refine data import clips --out clips.npz",
         "inspect": InspectData,
@@ -58,6 +62,29 @@ VERBS: dict[str, Any] = {
     "check-renderer": CheckRenderer,
     "doctor": Doctor,
 }
+
+
+@dataclass(frozen=True)
+class Completion:
+    """Print a script that completes verbs, flags, choices, built-in actions and files when Tab is pressed.
+
+    Its first lines say where to keep it. After an update of Refine, write it anew.
+
+    Example: refine completion bash > ~/.local/share/bash-completion/completions/refine
+    """
+
+    shell: Positional[Shell]
+    """Which shell."""
+    seed: int = 0
+    """Taken by every verb; nothing is drawn here."""
+
+    def run(self) -> None:
+        from refine.synthetic import ACTIONS
+
+        print(script(self.shell, grammar(VERBS), ACTIONS), end="")
+
+
+VERBS["completion"] = Completion
 
 
 def main(argv: Sequence[str] | None = None) -> int:
