@@ -108,8 +108,9 @@ class BuildBenchmark:
     """Replace the folder, with everything in it, if it is there."""
     seed: int = 0
     """Of the built-in performances, of the split and of the windows."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result:
         from functools import partial
 
         from tqdm import tqdm
@@ -136,20 +137,24 @@ class BuildBenchmark:
         composing = partial(progress, desc="compose")
         benchmark = build_benchmark(self.out, material, rest_joints, self.seed, self.command(), progress=composing)
         manifest = benchmark.manifest
-        for name, file in manifest["files"].items():
-            print(f"{self.out / name}  {file['clips']:,} clips, {file['frames']:,} frames")
+        lines = [
+            f"{self.out / name}  {file['clips']:,} clips, {file['frames']:,} frames"
+            for name, file in manifest["files"].items()
+        ]
         short = ", ".join(f"{count} {split}" for split, count in manifest["shorter_than_window"].items() if count)
         if short:
-            print(f"shorter than {benchmark.frames} frames, and still in their last pose from there: {short} clips")
+            lines.append(
+                f"shorter than {benchmark.frames} frames, and still in their last pose from there: {short} clips"
+            )
         if manifest["padded_compositions"]:
-            print(f"with such a clip: {manifest['padded_compositions']:,} compositions")
+            lines.append(f"with such a clip: {manifest['padded_compositions']:,} compositions")
         for reason, count in manifest["rejected"].items():
             if count:
-                print(f"rejected as {reason}: {count:,} compositions")
-        pairs = len(benchmark.pairs)
-        print(
-            f"{self.out}  {len(manifest['compositions']):,} compositions of {pairs} pairs, hash {benchmark.hash[:12]}"
-        )
+                lines.append(f"rejected as {reason}: {count:,} compositions")
+        pairs, compositions = len(benchmark.pairs), len(manifest["compositions"])
+        lines.append(f"{self.out}  {compositions:,} compositions of {pairs} pairs, hash {benchmark.hash[:12]}")
+        values = {"hash": benchmark.hash, "compositions": compositions, "pairs": pairs, "clips": manifest["files"]}
+        return Result("\n".join(lines), (self.out,), values)
 
     def command(self) -> str:
         """What builds the same set again, wherever this one lies."""

@@ -6,6 +6,7 @@ from typing import Annotated
 
 from tyro.conf import Positional, arg
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
 
@@ -20,7 +21,7 @@ class Inspect:
     """
 
     a: Positional[str]
-    """First clip: a .bvh or .npz file, or the name of a built-in action."""
+    """First clip: a motion file, - for standard input, or the name of a built-in action."""
     b: Positional[str]
     """Second clip."""
     out: Annotated[Path, arg(aliases=["-o"])]
@@ -42,8 +43,9 @@ class Inspect:
     """Replace the folder if something is in it."""
     seed: int = 0
     """Of the frames that refinement draws, and of built-in actions."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result:
         from refine.cli.inputs import bar, body_of, check_lam, clip_of, judge_of, pair_of, refinement_of
         from refine.composition import Composition, compose, judge
         from refine.coupling import couple
@@ -70,5 +72,6 @@ class Inspect:
             traces = [judge(motion, i, j, decoupler) for motion in (coupled.motion, given)]
             composition = Composition(i, j, coupled, given, *traces, made="given")
         with replacing_folder(self.out) as partial:
-            write_report(partial, composition, body_of(self.body, "full"), self.frames)
-        print(self.out / "report.html")
+            report = write_report(partial, composition, body_of(self.body, "full"), self.frames)
+        page = self.out / "report.html"
+        return Result(str(page), (page, self.out / "report.json"), {"decoupling_loss": report["decoupling_loss"]})

@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 from tyro.conf import arg
 from tyro.extras import subcommand_type_from_defaults
 
+from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 from renderers.outputs import check_place
 
@@ -58,15 +59,17 @@ class TrainMAE:
     config: choice_of(mae_presets)
     seed: int | None = None
     """The same as --loop.seed."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result:
         from train.mae import train_mae
         from train.processes import launched
 
         config: MAETraining = checked(self.config, self.seed)
         if launched().count > 1:
             raise UserError("refine train mae", "trains on one process", "start it without torchrun")
-        print(train_mae(config))
+        best = train_mae(config)
+        return Result(str(best), (best,))
 
 
 @dataclass(frozen=True)
@@ -85,13 +88,13 @@ class TrainGenerator:
     config: choice_of(generator_presets)
     seed: int | None = None
     """The same as --loop.seed."""
+    output: Printed = AS_LINES
 
-    def run(self) -> None:
+    def run(self) -> Result | None:
         from train.generator import train_generator
         from train.processes import launched
         from train.variants import as_variant
 
         config: GeneratorTraining = as_variant(checked(self.config, self.seed))
         best = train_generator(config)
-        if launched().first:
-            print(best)
+        return Result(str(best), (best,)) if launched().first else None

@@ -4,6 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
+from refine.cli.results import AS_LINES, Printed, Result
 from refine.cli.train import Presets, choice_of
 from renderers.checks import UserError
 
@@ -33,20 +34,22 @@ class TrainRecogniser:
     """Folder that `refine data benchmark` built."""
     force: bool = False
     """Replace recognisers that are there."""
+    output: Printed = AS_LINES
 
     @property
     def seed(self) -> int:
         return self.config.seed
 
-    def run(self) -> None:
+    def run(self) -> Result:
         from train.processes import launched
         from train.recogniser import train_recognisers
 
         if launched().count > 1:
             raise UserError("refine train recogniser", "trains on one process", "start it without torchrun")
         config: RecogniserTraining = self.config
-        print(table(train_recognisers(self.benchmark, config, self.force)))
-        print(self.benchmark / "recognisers")
+        records = train_recognisers(self.benchmark, config, self.force)
+        folder = self.benchmark / "recognisers"
+        return Result(f"{table(records)}\n{folder}", (folder,), {"recognisers": records})
 
 
 def table(records: dict[str, dict[str, Any]]) -> str:
