@@ -59,7 +59,9 @@ def read_one_npz(path: Path, _rest_joints: Tensor, reading: Reading) -> list[Mot
 
 
 def read_one_glb(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
-    return read_glb(path, rest_joints, reading.fps)
+    # By the standard y is up; who says otherwise knows better.
+    onto = replace(reading, up=reading.up or "y")
+    return read_glb(path, rest_joints, reading.fps, lambda bvh: mapped(bvh, rest_joints, onto))
 
 
 def read_one_npy(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:

@@ -10,7 +10,7 @@ animation if that is there, else that of its densest curve.
 """
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +31,7 @@ from renderers.rotations import matrix_from_6d, matrix_to_6d
 MAX_TAKES = 1000
 MAX_JOINT_FRAMES = 2_000_000  # in all takes of a file
 MAX_KEYS, MAX_FILE_KEYS = 2_000_000, 8_000_000  # of a take, of a file
+GLANCE = 32  # frames that tell whether a skeleton is a body
 AT_ONCE = 256  # frames that are posed together
 SPARSE, USUAL = 5.0, 30.0  # keys rarer than the one, per second, were set by hand, and are sampled at the other
 CLOSE = 0.01  # of a frame: as far as seconds in 32 bits may be off
@@ -51,20 +52,24 @@ class Take:
     betas: Tensor | None = None
 
 
-def read_glb(path: str | Path, rest_joints: Tensor, fps: float | None = None) -> list[Motion]:
+def read_glb(
+    path: str | Path, rest_joints: Tensor, fps: float | None = None, onto: Callable[[Bvh], Motion] | None = None
+) -> list[Motion]:
     """Read every animation of a ``.glb`` or ``.gltf`` file onto a body with T-pose joints [24 3] in metres.
 
     Args:
         fps: the frame rate to sample at, for files that do not say theirs.
+        onto: how the file's skeleton is put on the body; `retarget` without it.
 
     Raises:
-        UserError: see :func:`read_takes`, or the skeleton is not known.
+        UserError: see :func:`read_takes`, or the skeleton is no body.
     """
     file = read_gltf(path)
     rig = read_rig(file)
-    retarget(_bvh(file, rig, {}, np.zeros(1), USUAL), rest_joints)  # refuse a strange skeleton before all its frames
+    onto = onto or (lambda bvh: retarget(bvh, rest_joints))
+    onto(next(_takes(file, rig, fps, GLANCE)).bvh)  # refuses a strange skeleton before all its frames are read
     return [
-        replace(retarget(take.bvh, rest_joints, label=take.label), gender=take.gender, betas=take.betas)
+        replace(onto(take.bvh), label=take.label, gender=take.gender, betas=take.betas)
         for take in _takes(file, rig, fps)
     ]
 
@@ -83,8 +88,8 @@ def read_takes(path: str | Path, fps: float | None = None) -> list[Take]:
     return list(_takes(file, read_rig(file), fps))
 
 
-def _takes(file: Gltf, rig: Rig, fps: float | None) -> Iterator[Take]:
-    """The animations that move the skeleton, each when it is asked for."""
+def _takes(file: Gltf, rig: Rig, fps: float | None, frames: int | None = None) -> Iterator[Take]:
+    """The animations that move the skeleton, each when it is asked for; of each all frames, or about so many."""
     left, keys, animations = MAX_JOINT_FRAMES // len(rig.nodes), MAX_FILE_KEYS, file.entries("animations")
     nodes, found = set(rig.nodes), False
     if len(animations) > MAX_TAKES:
@@ -100,6 +105,8 @@ def _takes(file: Gltf, rig: Rig, fps: float | None) -> Iterator[Take]:
         rate = _rate(where, curves, extras.get("fps", fps))
         seconds = _seconds(where, curves, rate, left)
         left -= len(seconds)
+        if frames is not None:
+            seconds = seconds[:: -(-len(seconds) // frames)]
         bvh = _bvh(file, rig, curves, seconds, rate)
         yield Take(bvh, _label(animation, extras), *_performer(extras))
     if not found:

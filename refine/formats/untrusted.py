@@ -22,6 +22,7 @@ MAX_TABLE = 1 << 24  # CSV and lists in text
 MAX_JSON = 1 << 22  # JSON takes up to thirty times its size as Python values
 
 START = 4096  # bytes by which files are told apart
+GLTF_WORDS = (b'"asset"', b'"accessors"', b'"bufferViews"')  # which of them comes first is up to the program
 BOM = b"\xef\xbb\xbf"
 ZIP_MAGIC = (b"PK\x03\x04", b"PK\x05\x06")
 PICKLE_STARTS = (b"(dp", b"(lp", b"}q", b"]q", b"ccopy_reg\n", b"cnumpy.core")  # protocols 0 and 1, of Python 2
@@ -138,7 +139,7 @@ def kind_of_start(start: bytes) -> str:
     if text[:9].upper() == b"HIERARCHY" and not text[9:10].isalnum() and b"\0" not in text:
         return "bvh"
     if text[:1] in (b"{", b"["):
-        return "gltf" if b'"asset"' in text else "json"
+        return "gltf" if any(word in text for word in GLTF_WORDS) else "json"
     return _acclaim(text)
 
 

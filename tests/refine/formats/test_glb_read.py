@@ -108,7 +108,7 @@ def test_a_long_clip_at_a_high_rate_keeps_every_frame(free_body, rest_joints, tm
     torch.testing.assert_close(back.root, path, atol=1e-6, rtol=0)
 
 
-@settings(max_examples=25, deadline=None)
+@settings(max_examples=12, deadline=None)
 @given(
     turns=arrays(np.float64, st.tuples(st.integers(1, 5), st.just(24), st.just(3)), elements=st.floats(-4, 4)),
     fps=st.floats(1, 500),

@@ -245,7 +245,7 @@ def test_random_bytes_never_crash(fine, rest_joints, tmp_path):
     rng, whole = np.random.default_rng(0), np.frombuffer(pack(*fine), np.uint8)
     table = whole[16:].tobytes().index(b"BIN\0") + 16
     read = 0
-    for index in range(100):
+    for index in range(60):
         damaged = whole.copy()
         places = rng.integers(12, table if index % 2 else len(whole), size=rng.integers(1, 6))
         damaged[places] = rng.integers(32, 127, size=len(places)) if index % 2 else rng.integers(0, 256, len(places))
@@ -255,7 +255,7 @@ def test_random_bytes_never_crash(fine, rest_joints, tmp_path):
             read += len(read_glb(path, rest_joints))
         except UserError as error:
             assert "\n" not in str(error)
-    assert read > 5
+    assert read > 2
 
 
 def test_what_is_listed_is_looked_up_once(fine, tmp_path):
