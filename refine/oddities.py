@@ -126,21 +126,23 @@ def odd_rate(seen: Seen) -> Oddity | None:
 
 
 def jumps(seen: Seen) -> Oddity | None:
-    """A joint that is faster than `FASTEST_PELVIS` or `FASTEST_JOINT`, or leaps, see `LEAP`."""
-    relative = seen.joints - seen.joints[:, :1]
-    relative[:, 0] = seen.joints[:, 0]
-    moved = relative.diff(dim=0).norm(dim=-1)  # [T-1 24]
+    """A joint that is faster than `FASTEST_PELVIS` or `FASTEST_JOINT`, or leaps, see `LEAP`; copied frames aside."""
+    copied = [step + 1 for start, stop in _copies(seen) for step in range(start, stop)]
+    kept = torch.tensor(sorted(set(range(len(seen.joints))) - set(copied)))
+    joints = seen.joints[kept]
+    relative = joints - joints[:, :1]
+    relative[:, 0] = joints[:, 0]
+    moved = relative.diff(dim=0).norm(dim=-1)  # [S 24]
+    rate = seen.motion.fps / kept.diff()  # [S]
     limit = torch.full((len(JOINT_NAMES),), FASTEST_JOINT, dtype=moved.dtype)
     limit[0] = FASTEST_PELVIS
-    odd = moved * seen.motion.fps > limit
-    if seen.motion.fps >= LEAP_RATE:
-        odd |= _leaps(moved)
+    odd = (moved * rate[:, None] > limit) | (_leaps(moved) & (rate[:, None] >= LEAP_RATE))
     if not odd.any():
         return None
-    frame = int(odd.any(1).nonzero()[0])
-    joint = int((moved[frame] * odd[frame]).argmax())
-    text = f"{JOINT_NAMES[joint]} moves {moved[frame, joint]:.2f} m in a frame, in {int(odd.any(1).sum())} frames"
-    return Oddity("jump", text, frame + 1)
+    step = int(odd.any(1).nonzero()[0])
+    joint = int((moved[step] * odd[step]).argmax())
+    text = f"{JOINT_NAMES[joint]} moves {moved[step, joint]:.2f} m in a frame, in {int(odd.any(1).sum())} frames"
+    return Oddity("jump", text, int(kept[step + 1]))
 
 
 def _leaps(moved: Tensor) -> Tensor:
@@ -157,13 +159,7 @@ def _leaps(moved: Tensor) -> Tensor:
 
 def copied_frames(seen: Seen) -> Oddity | None:
     """Frames that are copies of the one before amid movement, see `STILL` and `COPIES`: a rate that was faked."""
-    runs = _runs(seen.steps <= STILL)
-    moving = seen.steps > MOVING
-    amid = [
-        (start, stop)
-        for start, stop in runs
-        if start and stop < len(moving) and moving[start - 1] and moving[stop] and stop - start <= COPIES_RUN
-    ]
+    amid = _copies(seen)
     count = sum(stop - start for start, stop in amid)
     if count < max(COPIES, COPIES_SHARE * len(seen.motion)):
         return None
@@ -276,6 +272,17 @@ def odd_body(seen: Seen) -> Oddity | None:
                 problem = f"{length:.3f} m to the {name.replace('_', ' ')}, {other:.3f} m on the other side"
                 return Oddity("odd body", problem)
     return None
+
+
+def _copies(seen: Seen) -> list[tuple[int, int]]:
+    """[first, behind the last) of short runs of steps in which nothing moves, between movement or at the beginning."""
+    steps = seen.steps
+    moving = steps > MOVING
+    return [
+        (start, stop)
+        for start, stop in _runs(steps <= STILL)
+        if (not start or moving[start - 1]) and stop < len(steps) and moving[stop] and stop - start <= COPIES_RUN
+    ]
 
 
 def _runs(flags: Tensor) -> list[tuple[int, int]]:
