@@ -7,6 +7,7 @@ from pathlib import Path
 from torch import Tensor
 
 from refine.formats.amass import looks_turned
+from refine.formats.asf_amc import CMU_FPS, read_amc
 from refine.formats.bvh import Bvh, read_bvh, world
 from refine.formats.clips import is_packed
 from refine.formats.files import Reading, label_from_name, load_motions
@@ -103,6 +104,12 @@ def _bvh(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     return _of_skeletons("BVH", [read_bvh(path, reading.unit)], rest_joints, reading)
 
 
+def _amc(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
+    file, motions, bones = _of_skeletons("AMC", [read_amc(path, reading.fps, reading.unit)], rest_joints, reading)
+    assumed = () if reading.fps else (f"it does not say its frame rate: taken for {CMU_FPS:g} fps",)
+    return replace(file, notes=(*file.notes, *assumed)), motions, bones
+
+
 def _glb(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     takes = read_takes(path, reading.fps)
     file, motions, bones = _of_skeletons("GLB", [take.bvh for take in takes], rest_joints, reading)
@@ -149,6 +156,7 @@ def _other(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
 # By what a file holds, see `kind_of`.
 DESCRIBE: dict[str, Callable[[Path, Tensor, Reading], Described]] = {
     "bvh": _bvh,
+    "amc": _amc,
     "glb": _glb,
     "gltf": _glb,
     "npz": _npz,

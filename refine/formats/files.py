@@ -9,6 +9,7 @@ from torch import Tensor
 
 from refine.formats.actor import read_humanact
 from refine.formats.amass import read_amass, write_amass
+from refine.formats.asf_amc import read_amc
 from refine.formats.bvh import Bvh, read_bvh, write_bvh
 from refine.formats.clips import is_packed, load_clips
 from refine.formats.fbx import blender_python, write_fbx
@@ -54,6 +55,14 @@ def mapped(bvh: Bvh, rest_joints: Tensor, reading: Reading) -> Motion:
     return retarget(bvh, rest_joints, replace(mapping, up=reading.up) if reading.up else mapping)
 
 
+def read_one_amc(path: Path, rest_joints: Tensor, reading: Reading) -> list[Motion]:
+    return [mapped(read_amc(path, reading.fps, reading.unit), rest_joints, reading)]
+
+
+def read_one_asf(path: Path, _rest_joints: Tensor, _reading: Reading) -> list[Motion]:
+    raise UserError(path, "is a skeleton without a motion", "give the .amc file that lies beside it")
+
+
 def read_one_npz(path: Path, _rest_joints: Tensor, reading: Reading) -> list[Motion]:
     return load_clips(path) if is_packed(path) else [read_amass(path, reading.up or "z", reading.fps)]
 
@@ -75,6 +84,8 @@ def read_one_pickle(path: Path, rest_joints: Tensor, _reading: Reading) -> list[
 # By what a file holds, see `kind_of`.
 READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {
     "bvh": read_one_bvh,
+    "amc": read_one_amc,
+    "asf": read_one_asf,
     "npz": read_one_npz,
     "glb": read_one_glb,
     "gltf": read_one_glb,
@@ -82,7 +93,7 @@ READERS: dict[str, Callable[[Path, Tensor, Reading], list[Motion]]] = {
     "pickle": read_one_pickle,
     "json": lambda path, _rest_joints, _reading: [read_motion_json(path)],
 }
-READ_SUFFIXES = (".bvh", ".npz", ".glb", ".gltf", ".npy", ".json")
+READ_SUFFIXES = (".bvh", ".npz", ".amc", ".glb", ".gltf", ".npy", ".json")
 # By suffix.
 WRITERS: dict[str, Callable[[Path, Motion, Body], None]] = {
     ".bvh": lambda path, motion, body: write_bvh(path, motion, body.rest_joints),
