@@ -70,7 +70,8 @@ class Orbit {
     const tangent = Math.tan(LENS / 2);
     const half = Math.max(0.56 * top, aside / aspect);
     const distance = (half / tangent + aside * 0.3) / this.zoom;
-    const target = add(add(centre, [0, 0.49 * top, 0]), this.pan);
+    const height = Math.min(half - 0.08 * top, 0.6 * top); // room that is left over goes above, where the names are
+    const target = add(add(centre, [0, height, 0]), this.pan);
     const level = Math.cos(this.elevation);
     const way = [Math.sin(this.yaw) * level, Math.sin(this.elevation), Math.cos(this.yaw) * level];
     const eye = add(target, scaled(way, distance));

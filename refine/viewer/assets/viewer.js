@@ -140,7 +140,7 @@ class Viewer {
   get reach() {
     const { top, aside: narrow } = this.extents[this.following];
     const aside = narrow + (this.overlaid && this.following && this.only < 0 ? this.spread : 0);
-    return this.cameras && this.looking ? { top: Math.max(top, 2.3), aside: Math.max(aside, 1.25) } : { top, aside };
+    return this.cameras && this.looking ? { top: Math.max(top, 2.1), aside: Math.max(aside, 1.1) } : { top, aside };
   }
 
   // As high as panels side by side need, so that no room is lost above and below narrow ones.
@@ -149,7 +149,7 @@ class Viewer {
     const { top, aside } = this.extents[true];
     const most = innerHeight * (clientWidth < 620 ? 0.6 : 0.64);
     const rows = clientWidth < 620 && this.clips.length > 2 ? Math.ceil(this.clips.length / 2) : 1;
-    const wanted = (rows * clientWidth * 1.12 * top) / (2 * aside * Math.ceil(this.clips.length / rows));
+    const wanted = rows * (40 + (clientWidth * 1.12 * top) / (2 * aside * Math.ceil(this.clips.length / rows)));
     const height = Math.round(clamp(wanted, Math.min(330, most), Math.max(most, 330)));
     if (height !== this.height) this.canvas.parentElement.style.height = `${height}px`;
     this.height = height;
