@@ -66,7 +66,7 @@ class Inspection:
             "labels": self.labels(),
             "oddities": self.oddities(),
             "unread": self.unread,
-            "files": files,
+            "inspected": files,
         }
 
 
