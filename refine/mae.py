@@ -4,9 +4,6 @@ A plain ViT on timm's blocks (He et al. 2022; protocol E). The mask is handed in
 names are those of the official checkpoints, which load as well.
 """
 
-import argparse
-import json
-import pickle
 import warnings
 from collections.abc import Mapping
 from dataclasses import dataclass
@@ -14,19 +11,17 @@ from functools import partial
 from importlib import resources
 from pathlib import Path
 from typing import Literal
-from zipfile import is_zipfile
 
 import torch
-from safetensors import SafetensorError
-from safetensors.torch import load_file
 from timm.models.vision_transformer import Block
 from torch import Tensor, nn
 
+from refine.formats.untrusted import read_json
+from refine.formats.weights import check_network, first_line, read_checkpoint, read_safetensors
 from refine.patches import grid_of, patchify
 from renderers.checks import ShapeError, UserError, check_known, check_range, check_shapes
 
 IMAGENET = ((0.485, 0.456, 0.406), (0.229, 0.224, 0.225))  # mean and standard deviation of red, green, blue
-LARGEST = 12 * 2**30  # bytes of a checkpoint: the largest official network with the state of its optimiser has 8 GB
 OFFICIAL_HEADS = {768: 12, 1024: 16, 1280: 16}  # by width: the one size that the tensors do not tell
 WITH_DECODER = "give one with its decoder, such as mae_visualize_vit_large.pth"
 
@@ -195,17 +190,19 @@ def load_mae(path: str | Path | None = None) -> MAE:
 def load_described(weights: Path) -> MAE:
     """An MAE from safetensors and the description beside it."""
     description = weights.with_suffix(".json")
+    remedy = "give the .safetensors that `refine train mae` wrote, its .json beside it"
     for file in (weights, description):
-        if not file.is_file():
-            raise UserError(
-                file, "no such file", "give the .safetensors that `refine train mae` wrote, its .json beside it"
-            )
+        if not file.exists():
+            raise UserError(file, "no such file", remedy)
+    stored, described = read_safetensors(weights, remedy)[0], read_json(description)
+    tensors = {name: value.float() for name, value in stored.items()}
     try:
-        mae = MAE(MAEConfig(**json.loads(description.read_text())["config"]))
-        mae.load_state_dict({name: value.float() for name, value in load_file(weights).items()})
-    except (SafetensorError, json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError, RuntimeError) as error:
-        problem = f"not the weights of an inpainting MAE ({reason(error)})"
-        raise UserError(weights, problem, "train one with `refine train mae`") from error
+        config = MAEConfig(**described["config"])
+    except (KeyError, TypeError, UserError) as error:
+        raise UserError(description, f"describes no inpainting MAE ({first_line(error)})", remedy) from error
+    check_network(weights, lambda: MAE(config), config.depth + config.decoder_depth, tensors, remedy)
+    mae = MAE(config)
+    mae.load_state_dict(tensors)
     return mae
 
 
@@ -237,22 +234,14 @@ def load_official(weights: Path) -> MAE:
 def read_official(weights: Path) -> dict[str, Tensor]:
     """The network's tensors of a ``.pth``: those under ``"model"``, or the whole file if it is a plain state dict.
 
-    Nothing in the file is run: only tensors, plain values and the ``argparse.Namespace`` of the training command (of a
-    checkpoint to resume from) are read. Tensors stay in the file until they are used, where its format allows it.
+    Nothing in the file is run, see `read_checkpoint`.
 
     Raises:
         UserError: missing, too large, damaged, holding anything else, or without a decoder.
     """
-    if not weights.is_file():
+    if not weights.exists():
         raise UserError(weights, "no such file", "give a checkpoint of the official MAE, or weights of your own")
-    if weights.stat().st_size > LARGEST:
-        raise UserError(weights, f"has more than {LARGEST / 2**30:.0f} GB, as no MAE does", "give another file")
-    try:
-        with torch.serialization.safe_globals([argparse.Namespace]):
-            found = torch.load(weights, map_location="cpu", weights_only=True, mmap=is_zipfile(weights))
-    except (pickle.UnpicklingError, RuntimeError, EOFError, ValueError, KeyError, OSError) as error:
-        problem = "is damaged, no checkpoint of torch, or holds more than tensors and plain values"
-        raise UserError(weights, problem, WITH_DECODER) from error
+    found = read_checkpoint(weights, WITH_DECODER)
     tensors = found.get("model", found) if isinstance(found, Mapping) else None
     if not isinstance(tensors, Mapping) or not all(isinstance(value, Tensor) for value in tensors.values()):
         raise UserError(weights, "holds no network's tensors, by themselves or under 'model'", WITH_DECODER)
@@ -291,9 +280,4 @@ def official_config(weights: Path, tensors: dict[str, Tensor]) -> MAEConfig:
             normalisation="imagenet",
         )
     except (KeyError, ValueError, IndexError, TypeError, UserError) as error:
-        raise UserError(weights, f"is not laid out as an official MAE ({reason(error)})", WITH_DECODER) from error
-
-
-def reason(error: Exception) -> str:
-    """The first line of an error, or its kind where it says nothing."""
-    return next(iter(str(error).splitlines()), "") or type(error).__name__
+        raise UserError(weights, f"is not laid out as an official MAE ({first_line(error)})", WITH_DECODER) from error

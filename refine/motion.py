@@ -11,6 +11,8 @@ from renderers.checks import UserError, check_finite, check_shapes
 from renderers.rotations import heading, matrix_from_6d, matrix_to_6d, rotation_about, slerp
 from renderers.skeleton import JOINT_NAMES, MIRRORED, forward_kinematics
 
+LONGEST_LABEL = 1000  # characters
+
 
 @dataclass(frozen=True, eq=False)
 class Motion:
@@ -27,7 +29,7 @@ class Motion:
 
     Raises:
         ShapeError: the two tensors disagree.
-        UserError: no frame, a value that is not finite, or a frame rate that is not positive.
+        UserError: no frame, a value that is not finite, a frame rate that is not positive, or a label that is no name.
     """
 
     rotations: Tensor
@@ -42,6 +44,8 @@ class Motion:
         sizes = check_shapes("Motion", rotations=(self.rotations, "T 24 3 3"), root=(self.root, "T 3"))
         if sizes["T"] == 0:
             raise UserError(self.source, "has no frames", "give a clip of at least two frames")
+        if len(self.label) > LONGEST_LABEL:
+            raise UserError(self.source, f"has a label of {len(self.label)} characters", "give it a short one")
         if not 0 < self.fps < 10_000:
             raise UserError(self.source, f"frame rate {self.fps} is not a number of frames per second")
         check_finite(self.source, self.rotations, "frame joint row column", {"joint": JOINT_NAMES})

@@ -17,10 +17,11 @@ from pathlib import Path
 from typing import Any
 
 import torch
-from safetensors import SafetensorError, safe_open
 from safetensors.torch import save
 from torch import Tensor, nn
 
+from refine.formats.untrusted import read_json
+from refine.formats.weights import read_safetensors
 from refine.motion import Motion
 from renderers.checks import UserError
 from renderers.outputs import replacing
@@ -69,27 +70,18 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
     if not described.is_file():
         raise UserError(described, "no such file", again)
     try:
-        description = json.loads(described.read_text())
+        description = read_json(described)
         found, schema = description["kind"], description["schema"]
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (UserError, KeyError, TypeError) as error:
         raise UserError(described, f"does not describe any weights ({error})", again) from error
     if found != kind:
         raise UserError(path, f"holds the weights of a {found}, expected a {kind}", again)
     if schema != SCHEMA:
         raise UserError(path, f"is of schema {schema}, this version reads {SCHEMA}", "use the version that wrote it")
-    tensors, _ = read_tensors(path, again)
+    if not path.exists():
+        raise UserError(path, "no such file", again)
+    tensors, _ = read_safetensors(path, again)
     return {name: value.float() for name, value in tensors.items()}, description
-
-
-def read_tensors(path: Path, remedy: str) -> tuple[dict[str, Tensor], dict[str, str]]:
-    """All tensors of a safetensors file and its header's metadata."""
-    if not path.is_file():
-        raise UserError(path, "no such file", remedy)
-    try:
-        with safe_open(path, framework="pt") as file:
-            return {name: file.get_tensor(name) for name in file.keys()}, file.metadata() or {}  # noqa: SIM118
-    except SafetensorError as error:
-        raise UserError(path, f"is damaged or no safetensors file ({str(error).splitlines()[0]})", remedy) from error
 
 
 def save_state(path: Path, model: nn.Module, optimiser: torch.optim.Optimizer, progress: dict[str, Any]):
@@ -110,7 +102,9 @@ def load_state(path: Path, model: nn.Module, optimiser: torch.optim.Optimizer) -
         UserError: the file is missing, damaged, or belongs to another model.
     """
     remedy = "start again in another folder with --out"
-    tensors, header = read_tensors(path, remedy)
+    if not path.exists():
+        raise UserError(path, "no such file", remedy)
+    tensors, header = read_safetensors(path, remedy)
     try:
         model.load_state_dict(under(tensors, "model"))
         indices = {int(name.split(".")[0]) for name in under(tensors, "optimiser")}

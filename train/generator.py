@@ -11,6 +11,7 @@ from torch import Tensor
 
 from refine.coupling import couple_features
 from refine.decoupling import Decoupler
+from refine.formats.weights import check_network
 from refine.generator import Generator, GeneratorConfig, label_weights
 from refine.mae import load_mae
 from renderers.body import Body
@@ -304,9 +305,11 @@ def load_generator(path: str | Path) -> Generator:
     try:
         stored = description["config"]
         stored |= {"classes": tuple(stored["classes"]), "pairs": tuple(map(tuple, stored.get("pairs", ())))}
-        generator = Generator(GeneratorConfig(**stored))
+        config = GeneratorConfig(**stored)
+        check_network(path, lambda: Generator(config), config.layers, tensors, "train it again")
+        generator = Generator(config)
         generator.load_state_dict(tensors)
-    except (KeyError, TypeError, RuntimeError) as error:
+    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
         reason = str(error).splitlines()[0]
         raise UserError(path, f"does not fit its description ({reason})", "train it again") from error
     return generator.eval().requires_grad_(False)

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor, nn
 from tqdm import tqdm
 
+from refine.formats.weights import check_network
 from refine.recogniser import OTHER, Graph, Recogniser, RecogniserConfig, both_actions, features_of
 from renderers.checks import UserError, check_known, check_range
 from renderers.outputs import check_place
@@ -194,8 +195,10 @@ def build(path: Path, tensors: dict[str, Tensor], description: dict[str, Any]) -
     try:
         # JSON knows no tuples.
         stored = {name: hashable(value) for name, value in description["config"].items()}
+        config = RecogniserConfig(**stored)
+        check_network(path, lambda: Recogniser(config), sum(config.depths), tensors, "train it again")
         with torch.random.fork_rng(devices=[]):  # the weights that are drawn are not those that stay
-            recogniser = Recogniser(RecogniserConfig(**stored))
+            recogniser = Recogniser(config)
         recogniser.load_state_dict(tensors)
     except (KeyError, TypeError, AttributeError, RuntimeError, UserError) as error:
         reason = str(error).splitlines()[0]

@@ -16,6 +16,7 @@ import torch
 from torch import Tensor
 
 from refine.formats.unpickle import read_pickle
+from refine.formats.untrusted import MAX_TABLE, read_bytes
 from refine.motion import Motion
 from renderers.checks import ShapeError, UserError, check_known, check_shapes
 from renderers.rotations import axis_angle_to_matrix, rotation_about
@@ -90,7 +91,8 @@ def read_humanact(path: str | Path, rest_joints: Tensor) -> list[Motion]:
     for index, (poses, joints, label) in enumerate(zip(*stored, strict=True)):
         source = f"{Path(path).name}/{index:04d}"
         if not isinstance(label, int | np.integer) or not 0 <= label < len(HUMANACT_ACTIONS):
-            raise UserError(f"{path}, clip {index}", f"has class {label!r}, not 0 to 11", REMEDY)
+            shown = int(label) if isinstance(label, int | np.integer) else f"a {type(label).__name__}"
+            raise UserError(f"{path}, clip {index}", f"has class {shown}, not 0 to 11", REMEDY)
         poses, joints = _arrays(f"{path}, clip {index}", poses=(poses, "T 72"), joints=(joints, "T 24 3"))
         motions.append(_motion(poses, joints[:, 0], HUMANACT_FPS, HUMANACT_ACTIONS[int(label)], source, rest_joints))
     return motions
@@ -238,8 +240,8 @@ def _motion(
 
 def _lines(path: Path) -> list[str]:
     try:
-        return path.read_text().splitlines()
-    except (OSError, UnicodeDecodeError) as error:
+        return read_bytes(path, MAX_TABLE).decode().splitlines()
+    except (UserError, UnicodeDecodeError) as error:
         raise UserError(path, "is missing or no text", REMEDY) from error
 
 

@@ -237,7 +237,8 @@ def _load_file(path: Path) -> list[Motion]:
     except ShapeError as error:
         raise UserError(path, f"is damaged ({error})", REMEDY) from error
     kinds = "".join(arrays[key].dtype.kind for key in KEYS + SHAPE_KEYS)
-    fits = lengths.min(initial=1) >= 1 and lengths.sum() == sizes["N"] and not np.isinf(arrays["betas"]).any()
+    inside = lengths.min(initial=1) >= 1 and lengths.max(initial=0) <= sizes["N"]  # no sum of them overflows
+    fits = inside and lengths.sum() == sizes["N"] and not np.isinf(arrays["betas"]).any()
     if kinds != "ffifUUfU" or not fits:
         raise UserError(path, "is damaged (lengths or types do not fit)", REMEDY)
     rotations = _rotations(torch.from_numpy(arrays["six"])).split(lengths.tolist())

@@ -28,6 +28,7 @@ from renderers.rotations import rotation_about
 MAX_FRAMES = 200_000  # almost three hours at HumanML3D's rate; they take a gigabyte while they are fitted
 MAX_BYTES = MAX_FRAMES * 55 * 3 * 8 + 10_000
 FEATURES = {12 * joints - 1: joints for joints in (22, 21)}
+FARTHEST = 1e9  # in any unit
 STRETCHED = 0.3  # bones that change their lengths by more are those of no body
 REMEDY = "give positions [frames joints 3] of 24 (SMPL), 22 (HumanML3D) or 21 (KIT) joints, or features of 263 or 251"
 
@@ -60,6 +61,8 @@ def read_joints(path: str | Path, rest_joints: Tensor, fps: float | None = None,
         positions = torch.from_numpy(joints.astype(np.float64))
     else:
         raise UserError(path, f"has shape {list(stored.shape)}", REMEDY)
+    if positions.numel() and not positions.abs().max() <= FARTHEST:
+        raise UserError(path, "has joints farther away than any body", REMEDY)
     if up == "z":
         positions = positions[..., [0, 2, 1]] * positions.new_tensor([1, 1, -1])
     fit = fit_joints(positions, rest_joints, fps, label=label, source=str(path))

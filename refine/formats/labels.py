@@ -16,6 +16,7 @@ from renderers.checks import UserError
 
 MAX_BYTES = 1 << 26
 MAX_ROWS = 1_000_000
+MAX_COLUMNS = 100
 MAX_LETTERS = 200  # of a label
 SECONDS, FRAMES = ("start", "end"), ("start_frame", "end_frame")
 
@@ -84,6 +85,8 @@ def read_labels(path: str | Path) -> list[Row]:
 
 
 def _columns(where: str, cells: list[str]) -> list[str]:
+    if len(cells) > MAX_COLUMNS:
+        raise UserError(where, f"has {len(cells)} headings, up to {MAX_COLUMNS} are read", "leave columns out")
     columns = [cell.strip().lower() for cell in cells]
     if not {"file", "label"} <= set(columns):
         named = ", ".join(columns)[:60]

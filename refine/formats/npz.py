@@ -27,7 +27,8 @@ SMALL = 1 << 26  # bytes that any archive may unpack to
 MAX_HEADER = 10_000
 MAX_AXES = 32
 CHUNK = 1 << 20
-END = struct.Struct("<4s4H2LH")  # of an archive, without a comment
+# What an archive ends with, without a comment; the last is there always, the others in large ones.
+END_64, LOCATOR, END = struct.Struct("<4sQ2H2L4Q"), struct.Struct("<4sLQL"), struct.Struct("<4s4H2LH")
 ITEM = re.compile(r" ?'(\w+)' ?: ?('[^']*'|True|False|\([-\dL, ]*\)|\[[^]]*\]) ?(?:,|$)")
 NUMBERS = re.compile(r"[<>|=]?[biufSU]\d{1,9}|[?]")  # the types that are read
 
@@ -47,10 +48,10 @@ def read_npz(
     """
     with opened(path, max_bytes) as stream:
         try:
-            size = _check_end(path, stream)
+            size = check_end(path, stream)
             with zipfile.ZipFile(stream) as packed:
                 members = _members(path, packed, keys)
-                _check_sizes(path, list(members.values()), size, max_bytes)
+                check_sizes(path, list(members.values()), size, max_bytes)
                 arrays = {}
                 for name, info in members.items():
                     with packed.open(info) as member:
@@ -144,19 +145,32 @@ def _fill(stream: BinaryIO, flat: np.ndarray) -> int:
     return taken
 
 
-def _check_end(path: str | Path, stream: BinaryIO) -> int:
-    """Check the record that ends an archive, before a list of members as long as it claims is read; returns the size
-    of the file."""
+def check_end(
+    path: str | Path, stream: BinaryIO, max_members: int = MAX_MEMBERS, max_bytes: int = MAX_DIRECTORY
+) -> int:
+    """Check the records that end a zip archive, before a list of members as long as they claim is read.
+
+    Returns:
+        The size of the file.
+
+    Raises:
+        UserError: it does not end as an archive without a comment does, or lists more members or bytes than allowed.
+    """
     size = stream.seek(0, os.SEEK_END)
-    stream.seek(max(0, size - END.size - 20))
+    stream.seek(max(0, size - END.size - LOCATOR.size - END_64.size))
     tail = stream.read()
     if len(tail) < END.size:
-        raise UserError(path, "is damaged or not an .npz file (it is cut short)", REMEDY)
+        raise UserError(path, "is damaged (it is cut short)", "get or write it again")
     magic, disk, _, here, count, length, _, comment = END.unpack(tail[-END.size :])
+    locator = tail[-END.size - LOCATOR.size : -END.size]
+    if locator.startswith(b"PK\x06\x07") and len(tail) == END.size + LOCATOR.size + END_64.size:
+        *_, here, count, length, _ = END_64.unpack(tail[: END_64.size])
+        _, _, place, _ = LOCATOR.unpack(locator)
+        disk = disk or place != size - len(tail)  # readers differ in where they look for it
     if magic != b"PK\x05\x06" or disk or here != count or comment:
-        raise UserError(path, "is damaged or not an .npz file (it does not end as one)", REMEDY)
-    if count > MAX_MEMBERS or length > MAX_DIRECTORY or tail.startswith(b"PK\x06\x07"):
-        raise UserError(path, f"holds more than {MAX_MEMBERS} arrays or names too long", "split the file")
+        raise UserError(path, "is damaged (it does not end as an archive does)", "get or write it again")
+    if count > max_members or length > max_bytes:
+        raise UserError(path, f"holds more than {max_members} arrays, or names too long", "split the file")
     return size
 
 
@@ -179,12 +193,16 @@ def _members(path: str | Path, packed: zipfile.ZipFile, keys: tuple[str, ...] | 
     return members
 
 
-def _check_sizes(path: str | Path, members: list[zipfile.ZipInfo], size: int, max_bytes: int) -> None:
-    """Refuse members that share bytes, reach out of the file or unpack to too much."""
+def check_sizes(path: str | Path, members: list[zipfile.ZipInfo], size: int, max_bytes: int = MAX_ARRAYS) -> None:
+    """Refuse members that share bytes, reach out of the file or unpack to too much.
+
+    Raises:
+        UserError: saying which.
+    """
     end = 0
     for info in sorted(members, key=lambda info: info.header_offset):
         if info.header_offset < end or info.header_offset + info.compress_size > size:
-            raise UserError(path, "is damaged or not an .npz file (its arrays overlap)", REMEDY)
+            raise UserError(path, "is damaged (what it holds overlaps)", "get or write it again")
         end = info.header_offset + info.compress_size
     unpacked = sum(info.file_size for info in members)
     if unpacked > max_bytes:

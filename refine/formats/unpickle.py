@@ -10,6 +10,7 @@ What a program may cost is bounded by the size of its file: its steps, and the b
 import math
 import os
 import pickle
+import re
 from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import Any, BinaryIO
@@ -22,7 +23,7 @@ from renderers.checks import UserError
 
 REMEDY = "only numbers, text, lists, dictionaries and NumPy arrays are read; convert the file to .npz"
 MAX_LENGTH = 1 << 40  # of an axis
-MAX_NAMES = 64  # of classes of chumpy and scipy.sparse
+MAX_NAMES = 64  # of classes
 STEPS = 300_000  # of any file, and one more for every thousand bytes: HumanAct12 takes 50,000 for 200 MB
 SPARE = 1 << 24  # bytes of sets, dictionaries and arrays beyond those of the file
 KEYS = (str, bytes, int, float, bool, type(None))
@@ -47,15 +48,15 @@ def read_pickle(path: str | Path, max_bytes: int = MAX_PICKLE) -> Any:
     """
     with opened(path, max_bytes) as stream:
         try:
-            return _Unpickler(stream, os.fstat(stream.fileno()).st_size).load()
-        except _Refused as error:
+            return Unpickler(stream, os.fstat(stream.fileno()).st_size).load()
+        except Refused as error:
             raise UserError(path, str(error), REMEDY) from error
         except Exception as error:  # a damaged pickle can fail in every operation of the machine that reads it
             raise UserError(path, "is damaged or not a pickle file", "get it again") from error
 
 
-class _Refused(pickle.UnpicklingError):
-    pass
+class Refused(pickle.UnpicklingError):
+    """The file asks for what is never done; the message says it."""
 
 
 class _Bounded:
@@ -78,7 +79,7 @@ class _Steps(dict):
     def __getitem__(self, code: int) -> Callable:
         self.left -= 1
         if self.left < 0:
-            raise _Refused("takes more steps than data of its size do")
+            raise Refused("takes more steps than data of its size do")
         return super().__getitem__(code)
 
 
@@ -88,7 +89,7 @@ class _Dtype:
     def __init__(self, code: str, align: bool = False, copy: bool = False):
         if not isinstance(code, str) or not NUMBERS.fullmatch(code):
             what = repr(code[:40]) if isinstance(code, str) else f"a {type(code).__name__}"
-            raise _Refused(f"holds an array of type {what}, which is never loaded")
+            raise Refused(f"holds an array of type {what}, which is never loaded")
         self.dtype = np.dtype(code)
 
 
@@ -99,17 +100,17 @@ class _Array(np.ndarray):
 def _checked(data: Any, kind: Any, shape: Any) -> bytes:
     """The bytes of an array, if there are as many as its shape needs; Python 2 wrote them as text."""
     if not isinstance(kind, _Dtype):
-        raise _Refused("holds an array without a type")
+        raise Refused("holds an array without a type")
     if not isinstance(data, str | bytes | bytearray):
-        raise _Refused("holds an array without bytes")
+        raise Refused("holds an array without bytes")
     axes = type(shape) is tuple and len(shape) <= MAX_AXES
     if not axes or any(type(length) is not int or not 0 <= length <= MAX_LENGTH for length in shape):
-        raise _Refused("holds an array without a shape")
+        raise Refused("holds an array without a shape")
     data = data.encode("latin1") if isinstance(data, str) else bytes(data)
     if math.prod(shape) * kind.dtype.itemsize != len(data) or (not data and math.prod(filter(None, shape)) > SPARE):
-        raise _Refused(f"holds an array that claims shape {list(shape)}, but has {len(data)} bytes")
+        raise Refused(f"holds an array that claims shape {list(shape)}, but has {len(data)} bytes")
     if kind.dtype.kind == "U" and not is_text(np.frombuffer(data, kind.dtype)):
-        raise _Refused("holds text that is no Unicode")
+        raise Refused("holds text that is no Unicode")
     return data
 
 
@@ -117,11 +118,18 @@ def _check_keys(keys: Iterable[Any]) -> None:
     """Only what is hashed at once: a nested tuple can break the interpreter, and large numbers are made to collide."""
     for key in keys:
         if not isinstance(key, KEYS) or (isinstance(key, int) and key.bit_length() > 63):
-            raise _Refused("holds keys that are neither words nor plain numbers")
+            raise Refused("holds keys that are neither words nor plain numbers")
 
 
-class _Unpickler(pickle._Unpickler):
-    """The interpreter in Python: the one in C takes memory for whatever size or memo number a file claims."""
+class Unpickler(pickle._Unpickler):
+    """The interpreter in Python: the one in C takes memory for whatever size or memo number a file claims.
+
+    Args:
+        stream: at the beginning of a pickle.
+        size: of the file; bounds what the pickle may cost.
+    """
+
+    RECORDS = re.compile(r"(chumpy|scipy\.sparse)\..+")  # the classes whose objects come as `Inert`
 
     def __init__(self, stream: BinaryIO, size: int):
         super().__init__(_Bounded(stream, size), encoding="latin1")
@@ -149,19 +157,19 @@ class _Unpickler(pickle._Unpickler):
             return self.functions[full]
         if full in ("numpy.ndarray", "builtins.object"):
             return full  # only ever handed to functions that ignore it
-        if full not in self.records and full.startswith(("chumpy.", "scipy.sparse.")):
+        if full not in self.records and self.RECORDS.fullmatch(full):
             if len(self.records) == MAX_NAMES or len(full) > 200:
-                raise _Refused("names more classes than chumpy and scipy.sparse have")
+                raise Refused("names too many classes")
             self.records[full] = type("Record", (Inert,), {"name": full})
         if full in self.records:
             return self.records[full]
-        raise _Refused(f"asks for {full[:100]}, which is not on the list of harmless names")
+        raise Refused(f"asks for {full[:100]}, which is not on the list of harmless names")
 
     def charge(self, count: int) -> None:
         """Count bytes that are made from others: one text in the file may be used a thousand times."""
         self.bytes_left -= count
         if self.bytes_left < 0:
-            raise _Refused("takes more memory than data of its size do")
+            raise Refused("takes more memory than data of its size do")
 
     def bytes_of(self, data: Any, kind: Any, shape: Any) -> bytes:
         data = _checked(data, kind, shape)
@@ -184,7 +192,7 @@ class _Unpickler(pickle._Unpickler):
 
     def record(self, cls: Any, args: Iterable[Any]) -> Inert:
         if not (isinstance(cls, type) and issubclass(cls, Inert)):
-            raise _Refused("holds an object that is not data")
+            raise Refused("holds an object that is not data")
         return cls(*args)
 
     def set_of(self, items: Any = ()) -> set:
@@ -204,6 +212,11 @@ class _Unpickler(pickle._Unpickler):
         args = self.stack.pop()
         self.append(self.record(self.stack.pop(), args))
 
+    def load_reduce(self) -> None:
+        if not callable(self.stack[-2]):
+            raise Refused("calls what is no function")
+        super().load_reduce()
+
     def load_build(self) -> None:
         state = self.stack.pop()
         match self.stack[-1]:
@@ -216,7 +229,7 @@ class _Unpickler(pickle._Unpickler):
                 data = self.bytes_of(data, kind, shape)
                 array.__setstate__((1, shape, kind.dtype, bool(fortran_order), data))
             case _:  # such as a function, whose attributes it would change
-                raise _Refused("changes an object that is not data")
+                raise Refused("changes an object that is not data")
 
     def load_dict(self) -> None:
         items = self.pop_mark()
@@ -232,7 +245,7 @@ class _Unpickler(pickle._Unpickler):
 
     def set_items(self, items: list) -> None:
         if type(self.stack[-1]) is not dict:
-            raise _Refused("changes an object that is not data")
+            raise Refused("changes an object that is not data")
         _check_keys(items[::2])
         self.stack[-1].update(zip(items[::2], items[1::2], strict=True))
 
@@ -243,11 +256,11 @@ class _Unpickler(pickle._Unpickler):
     def load_additems(self) -> None:
         items = self.pop_mark()
         if type(self.stack[-1]) is not set:
-            raise _Refused("changes an object that is not data")
+            raise Refused("changes an object that is not data")
         self.stack[-1].update(self.set_of(items))
 
     def load_long4(self) -> None:
-        raise _Refused("holds a number of more than 255 bytes")
+        raise Refused("holds a number of more than 255 bytes")
 
     def load_bytearray8(self) -> None:
         self.append(bytearray(self.read(int.from_bytes(self.read(8), "little"))))

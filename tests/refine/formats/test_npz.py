@@ -88,7 +88,7 @@ def test_damage_is_one_line(tmp_path):
     flipped = whole[:500] + bytes([whole[500] ^ 255]) + whole[501:]
     for content in (b"PK\x03\x04", whole[:900], flipped):
         (tmp_path / "b.npz").write_bytes(content)
-        with pytest.raises(UserError, match=r"b.npz: is damaged or not an .npz file") as caught:
+        with pytest.raises(UserError, match=r"b.npz: is damaged") as caught:
             read_npz(tmp_path / "b.npz")
         assert "\n" not in str(caught.value)
     with pytest.raises(UserError, match=r"none.npz: cannot be read \(No such file"):
