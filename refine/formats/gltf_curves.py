@@ -7,7 +7,6 @@ from typing import Any
 import numpy as np
 import torch
 from torch import Tensor
-from torch.nn.functional import normalize
 
 from refine.formats.gltf import REMEDY, Gltf, is_count, shown
 from renderers.checks import UserError, check_known
@@ -40,7 +39,7 @@ class Curve:
         return self.values.shape[:-1].numel()
 
     def at(self, seconds: np.ndarray, close: float) -> Tensor:
-        """The property [T k] at the given seconds.
+        """The property [T k] at the given seconds; quaternions between the keys of a spline are of any length.
 
         It is held before the first key and after the last. A key not further off than ``close`` seconds is met exactly.
         """
@@ -59,8 +58,7 @@ class Curve:
         """Hermite's cubic between two keys, ``t`` of the way (glTF 2.0, appendix C)."""
         into, key, out = self.values
         start = (2 * t**3 - 3 * t**2 + 1) * key[low] + (t**3 - 2 * t**2 + t) * span * out[low]
-        value = start + (3 * t**2 - 2 * t**3) * key[high] + (t**3 - t**2) * span * into[high]
-        return normalize(value, dim=-1) if self.path == "rotation" else value
+        return start + (3 * t**2 - 2 * t**3) * key[high] + (t**3 - t**2) * span * into[high]
 
 
 def _lerp(start: Tensor, end: Tensor, share: Tensor) -> Tensor:

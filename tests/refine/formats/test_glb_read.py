@@ -183,6 +183,20 @@ def test_axes_units_and_standing_pose_of_the_rig_do_not_matter(
     assert off(walk, back, rest_joints) < HALF_MILLIMETRE / 10
 
 
+@pytest.mark.parametrize("posed_at", [None, 30])
+def test_the_zero_pose_is_the_bind_pose_upright_and_in_metres(walk, free_body, rest_joints, tmp_path, posed_at):
+    """Of a rig that lies on its back and counts in centimetres, and whose nodes may stand in the middle of a step."""
+    write_glb(tmp_path / "a.glb", walk, free_body)
+    turns = Rotation.random(24, random_state=3).as_matrix()
+    (take,) = read_takes(write(tmp_path / "b.glb", rerigged(tmp_path / "a.glb", turns, 0.01, True, posed_at)))
+    bvh = replace(take.bvh, positions=take.bvh.offsets[None])
+    points = world(replace(bvh, rotations=torch.eye(3, dtype=torch.float64).expand(1, 25, 3, 3)))[0][0]
+    pelvis, points = points[1], points[1:]
+    order = [take.bvh.names.index(f"{name}") - 1 for name in JOINTS]
+    expected = rest_joints.double() - rest_joints[0].double()
+    torch.testing.assert_close(points[order] - pelvis, expected, atol=1e-4, rtol=0)
+
+
 def test_a_walk_is_upright_and_faces_z(walk, free_body, rest_joints, tmp_path):
     write_glb(tmp_path / "a.glb", walk, free_body)
     lying = rerigged(tmp_path / "a.glb", Rotation.random(24, random_state=2).as_matrix(), 0.01, True, None)
@@ -432,4 +446,7 @@ def test_turning_the_whole_figure_turns_its_motion(walk, free_body, rest_joints,
     document["scenes"] = [{"nodes": [25, 24]}]
     (back,) = read_glb(write(tmp_path / "b.glb", pack(document, binary)), rest_joints)
     turn = rotation_about("y", torch.tensor(math.pi / 2))
+    (take,) = read_takes(tmp_path / "b.glb")
+    torch.testing.assert_close(take.bvh.rotations[:, 0].float(), turn.expand(60, 3, 3), atol=1e-5, rtol=0)
+    torch.testing.assert_close(take.bvh.rotations[:, 1].float(), walk.rotations[:, 0], atol=1e-5, rtol=0)
     torch.testing.assert_close(back.joints(rest_joints), walk.joints(rest_joints) @ turn.mT, atol=1e-4, rtol=0)
