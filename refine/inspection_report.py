@@ -57,6 +57,9 @@ def summary(inspection: Inspection) -> list[tuple[str, str]]:
     lengths = f"{seconds[0]:.1f} to {seconds[-1]:.1f} s each, {statistics.median(seconds):.1f} in the middle"
     frames = sum(clip.frames for clip in clips)
     total = f"{len(clips):,} with {frames:,} frames in {_duration(sum(seconds))}"
+    read = [file for file in inspection.files if not file.problem]
+    units = dict(Counter(f"{file.unit} ({file.unit_by})" for file in read).most_common())
+    odd = [f"{count:,} with {name}" for name, count in inspection.oddities().items()]
     rates = dict(Counter(f"{clip.fps:g}" for clip in clips).most_common())
     ahead = sum(abs(clip.facing) <= 45 for clip in clips)
     facing = f"{ahead:,} of {len(clips):,} clips begin facing +z"
@@ -68,9 +71,9 @@ def summary(inspection: Inspection) -> list[tuple[str, str]]:
         ("clips", f"{total}; {lengths}" if len(clips) > 1 else total),
         ("rate", f"{_counted(rates)} frames a second"),
         ("frame", f"{_counted(inspection.count('up'))} up; {facing}"),
-        ("unit", f"{_counted(inspection.count('unit'))}, {_counted(inspection.count('unit_by'))}"),
+        ("unit", _counted(units)),
         ("skeleton", _counted(inspection.count("skeleton"))),
-        ("odd", _counted(inspection.oddities()) if inspection.oddities() else "nothing found"),
+        ("odd", ", ".join(odd) or "nothing found"),
     ]
     notes = dict.fromkeys(note for file in inspection.files for note in file.notes)
     rows += [("note", note) for note in list(notes)[:NAMED]]
@@ -92,7 +95,7 @@ def clip_rows(inspection: Inspection) -> list[tuple[str, ...]]:
 
 def _row(clip: Clip) -> tuple[str, ...]:
     odd = "; ".join(said(oddity) for oddity in clip.oddities)
-    numbers = f"{clip.frames}", f"{clip.fps:g}", f"{clip.seconds:.2f}", f"{clip.facing:.0f}", f"{clip.travel:.2f}"
+    numbers = f"{clip.frames}", f"{clip.fps:g}", f"{clip.seconds:.2f}", f"{round(clip.facing)}", f"{clip.travel:.2f}"
     return clip.source, clip.label, *numbers, odd or "-"
 
 

@@ -112,6 +112,7 @@ def _amc(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
 
 def _glb(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     takes = read_takes(path, reading.fps)
+    reading = replace(reading, up=reading.up or "y")
     file, motions, bones = _of_skeletons("GLB", [take.bvh for take in takes], rest_joints, reading)
     labelled = [replace(motion, label=take.label) for motion, take in zip(motions, takes, strict=True)]
     return replace(file, unit="m", unit_by=BY_FORMAT), labelled, bones
@@ -148,6 +149,10 @@ def _pickle(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     return File(kind="ACTOR's package of HumanAct12", up="-y"), load_motions(path, rest_joints, reading), {}
 
 
+def _json(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
+    return File(kind="motion as JSON"), load_motions(path, rest_joints, reading), {}
+
+
 def _other(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     motions = load_motions(path, rest_joints, reading)
     return File(kind=kind_of(path), unit_by="as its reader has it"), motions, {}
@@ -162,4 +167,5 @@ DESCRIBE: dict[str, Callable[[Path, Tensor, Reading], Described]] = {
     "npz": _npz,
     "npy": _npy,
     "pickle": _pickle,
+    "json": _json,
 }

@@ -9,6 +9,9 @@ from refine.formats.clips import is_shards
 from refine.formats.clips import shard_paths as shards_of
 from refine.formats.files import READ_SUFFIXES
 from refine.formats.labels import Row, read_labels
+from refine.formats.motion_json import FORMAT
+from refine.formats.motion_json import MAX_BYTES as MAX_JSON
+from refine.formats.untrusted import START, opened
 from refine.motion import Motion
 from renderers.checks import UserError
 
@@ -42,7 +45,7 @@ def motion_files(folder: str | Path) -> tuple[list[Path], list[UserError]]:
         folders[:] = [name for name in folders if not name.startswith(".")]
         for name in names:
             path = Path(where, name)
-            if name.startswith(".") or path.suffix.lower() not in READ_SUFFIXES:
+            if name.startswith(".") or path.suffix.lower() not in READ_SUFFIXES or _is_other_json(path):
                 continue
             if path.is_symlink() and not path.resolve().is_relative_to(inside):
                 refused.append(UserError(path, "is a link that leads out of the folder", "put the file itself there"))
@@ -52,6 +55,17 @@ def motion_files(folder: str | Path) -> tuple[list[Path], list[UserError]]:
         known = " or ".join(READ_SUFFIXES)
         raise UserError(folder, f"has no files that end in {known}", "give a folder of motion files")
     return sorted(paths), sorted(refused, key=str)
+
+
+def _is_other_json(path: Path) -> bool:
+    """Whether it is JSON of another sort than a motion, of which folders hold many: manifests, settings, mappings."""
+    if path.suffix.lower() != ".json":
+        return False
+    try:
+        with opened(path, MAX_JSON) as stream:
+            return f'"{FORMAT}"'.encode() not in stream.read(START)
+    except UserError:
+        return False  # it is refused where it is read
 
 
 def plan(source: Path, labels_file: Path | None = None) -> Plan:

@@ -37,6 +37,8 @@ def folder(tmp_path, act, rest_joints, free_body) -> Path:
     write_amass(folder / "squat_02.npz", replace(act("squat"), fps=37.0))
     save_motion(act("punching"), folder / "punch.glb", free_body)
     save_motion(act("punching"), folder / "punch.npy", free_body)
+    save_motion(act("punching"), folder / "punch.json", free_body)
+    (folder / "settings.json").write_text('{"format": "other"}')
     save_clips(folder / "packed.npz", [replace(act("walk"), source="one"), replace(act("squat"), source="other")])
     (folder / "broken.bvh").write_text("HIERARCHY\n")
     return folder
@@ -49,13 +51,14 @@ def test_a_folder_of_all_kinds(folder, rest_joints):
         ("broken.bvh", "", "y", "m", 0),
         ("packed.npz", "packed clips", "y", "m", 2),
         ("punch.glb", "GLB", "y", "m", 1),
+        ("punch.json", "motion as JSON", "y", "m", 1),
         ("punch.npy", "joints .npy", "y", "1 m", 1),
         ("squat_01.npz", "AMASS-style .npz", "z", "m", 1),
         ("squat_02.npz", "AMASS-style .npz", "z", "m", 1),
         ("walk_01.bvh", "BVH", "y", "cm", 1),
     ]
     assert found.files[-1].unit_by == "guessed from the size of the skeleton"
-    assert found.labels() == {"punch": 1, "punching": 1, "squat": 3, "walk": 2}
+    assert found.labels() == {"punch": 1, "punching": 2, "squat": 3, "walk": 2}
     assert found.oddities() == {"odd frame rate": 1}
     [problem] = found.unread
     assert "broken.bvh" in problem
@@ -122,10 +125,10 @@ def test_nothing_to_read_is_an_error_in_one_line(tmp_path, rest_joints):
 def test_lines_for_people(folder, rest_joints):
     said = "\n".join(lines(inspect(folder, rest_joints)))
     for part in (
-        "7 with 280 frames in 9.1 s; 1.1 to 1.3 s each, 1.3 in the middle",
-        "6 30, 1 37 frames a second",
+        "8 with 320 frames in 10.4 s; 1.1 to 1.3 s each, 1.3 in the middle",
+        "7 30, 1 37 frames a second",
         "2 AMASS-style .npz, 1 packed clips",
-        "odd         odd frame rate",
+        "odd         1 with odd frame rate",
         "not read    ",
         "    3  squat",
         "odd frame rate: 37 frames a second",
@@ -169,7 +172,7 @@ def test_the_page_holds_everything_and_escapes_what_it_quotes(tmp_path, act, res
 def test_describing_reads_as_loading_does(folder, rest_joints):
     from refine.formats.files import load_motions
 
-    for name in ("walk_01.bvh", "punch.glb", "punch.npy", "squat_01.npz", "packed.npz"):
+    for name in ("walk_01.bvh", "punch.glb", "punch.npy", "punch.json", "squat_01.npz", "packed.npz"):
         _, motions, _ = describe(folder / name, rest_joints, Reading())
         for ours, theirs in zip(motions, load_motions(folder / name, rest_joints), strict=True):
             assert torch.equal(ours.rotations, theirs.rotations) and torch.equal(ours.root, theirs.root), name
