@@ -83,7 +83,7 @@ class Compose:
             with replacing_folder(self.report) as partial:
                 write_report(partial, composition, body_of(self.body, "full"))
         with output_path(self.out) as path:
-            save_motion(composition.motion, path, body, force=True)
+            save_motion(composition.motion, path, body_of(self.body, "full"), force=True)
         return self._result(composition)
 
     def _result(self, composition: "Composition") -> Result:
