@@ -42,10 +42,13 @@ NEARLY = 0.01
 BENT = 15.0  # degrees from which a knee or an elbow shows its hinge
 AGREED = 0.7  # how far the frames must agree on it
 ALONG = 0.985  # the cosine from which a bone lies along an axis of its joint
+ALIGNED = 13.0  # degrees by which the joints of such a rig seem to be off their axes, at the median
 SNAP = 50.0  # degrees within which an axis of a joint is taken for the one that is meant
+TRUNK_SNAP = 20.0  # and in the spine, which stands straighter than limbs do
 FAR = 75.0  # degrees up to which it is taken for that of the joint before
 SAME_AXES = (("hip", "knee"), ("shoulder", "elbow"), ("elbow", "wrist"))
-TRUNK = ("pelvis", "spine1", "spine2", "spine3", "neck", "head", "left_collar", "right_collar")
+SPINE = ("pelvis", "spine1", "spine2", "spine3")
+TRUNK = (*SPINE, "neck", "head", "left_collar", "right_collar")
 
 
 class Poses(NamedTuple):
@@ -330,17 +333,22 @@ def _snapped(bvh: Bvh, joints: Joints, local: dict[str, Tensor], rest: dict[str,
     Such a rig has the same axes all along a limb, which says more than a head that is turned or a hand that is bent.
     """
     bones = {start: bvh.positions[:, joints[end]].mean(dim=0) for start, end in LIMBS.items()}
-    if any(normalize(bone, dim=0).abs().max() < ALONG for bone in bones.values()):
+    nearest = {
+        name: torch.stack([turn.new_tensor(AXES[axis_of(column)]) for column in turn.mT], dim=1)
+        for name, turn in local.items()
+    }
+    off = [_apart(nearest[name], local[name]) for name in (*SPINE, *LIMBS) if name in local]
+    along = all(normalize(bone, dim=0).abs().max() > ALONG for bone in bones.values())
+    if not along or sorted(off)[len(off) // 2] > ALIGNED:
         return local
     before = {f"{side}_{after}": f"{side}_{joint}" for side in SIDES for joint, after in SAME_AXES}
     before["head"] = "neck"
     axes: dict[str, Tensor] = {}
     for name, turn in local.items():
-        nearest = torch.stack([turn.new_tensor(AXES[axis_of(column)]) for column in turn.mT], dim=1)
         if before.get(name) in axes and (name.endswith("wrist") or _apart(axes[before[name]], turn) < FAR):
             axes[name] = axes[before[name]]
-        elif "collar" not in name and _apart(nearest, turn) < SNAP:
-            axes[name] = nearest
+        elif "collar" not in name and _apart(nearest[name], turn) < (TRUNK_SNAP if name in SPINE else SNAP):
+            axes[name] = nearest[name]
     snapped = local | axes
     for name in set(axes) & set(bones):  # the bone itself, and the axis ahead
         ours = rest[LIMBS[name]] - rest[name]

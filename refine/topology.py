@@ -6,10 +6,11 @@ of the file stands: legs straight on from the trunk. Names are not looked at.
 
 from collections.abc import Iterator
 from functools import cached_property
-from itertools import combinations, pairwise, permutations
+from itertools import combinations, permutations
 from typing import NamedTuple
 
 import torch
+from torch import Tensor
 
 from refine.formats.bvh import Bvh
 from refine.rest_pose import Poses, standing
@@ -22,6 +23,7 @@ LONG = 0.3
 # The least ratio of thigh to shank, or of upper arm to forearm, whichever is shorter.
 BALANCED = 0.55
 TURNS = 5.0  # degrees that a joint bends at least, unless it is a helper along a bone
+LINKS = 16  # joints of a limb that are looked at
 PAIRS = 8  # pairs that are looked at, and chains from one joint, the longest ones
 
 
@@ -97,7 +99,9 @@ def by_topology(bvh: Bvh, poses: Poses) -> tuple[dict[str, int], float]:
     best: tuple[dict[str, int], float] = ({}, -1.0)
     for legs, arms in _ways(pairs):
         joints = _limbs(legs, arms, three)
-        if joints:
+        if joints and _reach(poses, joints, "hip", "knee", "ankle") > _reach(
+            poses, joints, "shoulder", "elbow", "wrist"
+        ):
             quality = standing(poses.points, joints).nan_to_num(-1.0).max().item()
             if quality > best[1] + 0.02:  # of two that stand alike the longer one counts
                 best = joints, quality
@@ -193,31 +197,32 @@ def _limbs(legs: Pair, arms: Pair, three: dict[tuple[int, ...], tuple[int, int, 
     return {name: joint for name, joint in joints.items() if name.partition("_")[2] not in alone}
 
 
+def _reach(poses: Poses, joints: dict[str, int], *chain: str) -> float:
+    """The length of a limb, both sides together."""
+    points = [poses.points[0, joints[f"{side}_{name}"]] for side in SIDES for name in chain]
+    return sum((points[end] - points[end - 1]).norm().item() for end in (1, 2, 4, 5))
+
+
 def _three(poses: Poses, chain: tuple[int, ...]) -> tuple[int, int, int] | None:
-    """The joints at the ends of the two long bones of a limb; helpers that lie along a bone are stepped over."""
-    moving = tuple(joint for place, joint in enumerate(chain) if place == 0 or _bends(poses, chain, place))
-    for candidates in (moving, chain):
-        best, score = None, 0.0
-        for three in zip(candidates, candidates[1:], candidates[2:], strict=False):
-            upper, lower = (_straight(poses, *pair) for pair in pairwise(three))
-            if min(upper, lower) > score and min(upper, lower) >= BALANCED * max(upper, lower):
-                best, score = three, min(upper, lower)
-        if best:
-            return best
-    return None
+    """The joints at the ends of the two long bones of a limb, which are nearly as long as each other; what lies between
+    them never bends, as joints that twist a bone do not."""
+    chain = chain[:LINKS]
+    points = poses.points[:, list(chain)]
+    apart = (points[:, :, None] - points[:, None]).norm(dim=-1).mean(dim=0).tolist()
+    stiff = [_stiff(points[:, place - 1 : place + 2]) for place in range(1, len(chain) - 1)]
+    best, score = None, 0.0
+    for first, middle, last in combinations(range(len(chain)), 3):
+        between = [*range(first + 1, middle), *range(middle + 1, last)]
+        low, high = sorted((apart[first][middle], apart[middle][last]))
+        if low >= BALANCED * high > 0 and low * low / high > score and all(stiff[place - 1] for place in between):
+            best, score = (chain[first], chain[middle], chain[last]), low * low / high
+    return best
 
 
-def _bends(poses: Poses, chain: tuple[int, ...], place: int) -> bool:
-    """Whether a joint ever turns its bone against the one before by more than a helper does; ends count as if."""
-    if place + 1 >= len(chain):
-        return True
-    before, here, after = (poses.points[:, chain[place + step]] for step in (-1, 0, 1))
-    first, second = here - before, after - here
+def _stiff(points: Tensor) -> bool:
+    """Whether the second of three joints [T 3 3] never turns its bone against the one before by more than a helper."""
+    first, second = points[:, 1] - points[:, 0], points[:, 2] - points[:, 1]
     if first.norm(dim=-1).max() < 1e-6 or second.norm(dim=-1).max() < 1e-6:
         return True
     angle = torch.atan2(torch.linalg.cross(first, second).norm(dim=-1), (first * second).sum(-1))
-    return torch.rad2deg(angle).max().item() > TURNS
-
-
-def _straight(poses: Poses, start: int, end: int) -> float:
-    return (poses.points[:, end] - poses.points[:, start]).norm(dim=-1).mean().item()
+    return torch.rad2deg(angle).max().item() <= TURNS
