@@ -16,10 +16,12 @@ from hypothesis.extra.numpy import arrays
 from scipy.interpolate import CubicHermiteSpline
 from scipy.spatial.transform import Rotation, Slerp
 
+from refine.formats import glb_read
 from refine.formats.bvh import read_bvh, world
 from refine.formats.files import Reading, load_motion, load_motions, save_motion
 from refine.formats.glb import write_glb
 from refine.formats.glb_read import read_glb, read_takes
+from refine.formats.gltf_rig import pose
 from refine.motion import Motion
 from refine.retarget import retarget
 from refine.synthetic import ACTIONS, draw, perform
@@ -339,6 +341,14 @@ def test_whole_numbers_of_sixteen_bits_strides_and_sparse_values(tmp_path):
     np.testing.assert_allclose(tips(path), [[0, 2, 0], [0, 2, 0], [0, 1, 1]], atol=1e-4)
 
 
+def test_whole_numbers_may_stand_for_fractions(tmp_path):
+    builder = Builder()
+    keys = builder.add([[0, 51, 0], [0, 255, 0]], "VEC3", 5121, normalized=True)
+    sampler = {"input": builder.add([0.0, 1.0]), "output": keys}
+    path = write(tmp_path / "a.glb", arm(builder, sampler, "translation", extras={"fps": 2}))
+    np.testing.assert_allclose(tips(path)[:, 1], [1.2, 1.6, 2.0])
+
+
 @pytest.mark.parametrize("name", ["", "Take 001", "Armature|mixamo.com|Layer0", None, 7])
 def test_names_that_nobody_gave_are_no_labels(tmp_path, name):
     builder = Builder()
@@ -419,11 +429,19 @@ def test_a_link_beside_is_not_followed(walk, free_body, rest_joints, tmp_path):
         read_glb(write(tmp_path / "inner" / "a.gltf", as_text(tmp_path / "a.glb", "a.bin")), rest_joints)
 
 
-def test_a_strange_skeleton_is_refused_before_its_frames_are_read(rest_joints, tmp_path):
+def test_a_strange_skeleton_is_refused_before_its_frames_are_read(rest_joints, tmp_path, monkeypatch):
+    posed = []
+
+    def counted(rig, curves, seconds, close):
+        posed.append(len(seconds))
+        return pose(rig, curves, seconds, close)
+
+    monkeypatch.setattr(glb_read, "pose", counted)
     builder = Builder()
     sampler = {"input": builder.add([0.0, 20_000.0]), "output": builder.add([[0, 0, 0, 1]] * 2, "VEC4")}
     with pytest.raises(UserError, match="skeleton"):
         read_glb(write(tmp_path / "a.glb", arm(builder, sampler)), rest_joints)
+    assert sum(posed) < 100
 
 
 def test_the_rate_may_be_given_by_the_reader(walk, free_body, rest_joints, tmp_path):
