@@ -18,7 +18,16 @@ import torch
 from torch import Tensor
 
 from refine.formats.bvh import TYPICAL_REACH, UNITS, Bvh
-from refine.formats.bvh_parsing import AGAIN, CHANNEL_NAMES, MAX_JOINT_FRAMES, MAX_JOINTS, MAX_NAME, MAX_VALUE, Lines
+from refine.formats.bvh_parsing import (
+    AGAIN,
+    CHANNEL_NAMES,
+    MAX_JOINT_FRAMES,
+    MAX_JOINTS,
+    MAX_NAME,
+    MAX_STILL_JOINT_FRAMES,
+    MAX_VALUE,
+    Lines,
+)
 from refine.formats.untrusted import opened
 from renderers.checks import UserError
 from renderers.rotations import euler_to_matrix
@@ -266,6 +275,8 @@ def _motion(lines: Lines, skeleton: Skeleton, order: list[str]) -> tuple[np.ndar
         if frames * len(order) > MAX_JOINT_FRAMES:
             raise UserError(lines.where, f"goes on after {frames} frames of {len(order)} bones", "cut it into clips")
         values.extend(row)
+    if frames * (len(order) - len(first)) > MAX_STILL_JOINT_FRAMES:
+        raise UserError(lines.path, f"has {frames} frames of {len(order)} bones, most of which do not move", AGAIN)
     if not frames:
         raise UserError(lines.path, "holds no frames", "give a clip with frames")
     return np.frombuffer(values, dtype=np.float64).reshape(frames, columns), degrees

@@ -21,6 +21,8 @@ MAX_JOINT_FRAMES = 4_000_000
 MAX_STILL_JOINT_FRAMES = 1_000_000  # of joints without channels, for which the file need not hold anything
 MAX_STATEMENTS = 50_000  # of a hierarchy
 MAX_LINE = 1 << 18  # characters
+MAX_EMPTY = 20_000  # lines without statements, beyond as many as there are with them
+EMPTY = "\n#:"  # how they begin
 MAX_NAME = 256
 MAX_VALUE = 1e9  # of a length in any unit, or of an angle in degrees
 AGAIN = "export the file again"
@@ -94,10 +96,14 @@ class Lines:
         self._text = io.TextIOWrapper(stream, "utf-8-sig", errors="replace")
 
     def __iter__(self) -> Iterator[str]:
+        empty = 0
         while line := self._text.readline(MAX_LINE):
             self.number += 1
             if len(line) == MAX_LINE:
                 raise UserError(self.where, f"is longer than {MAX_LINE} characters", AGAIN)
+            empty += line[0] in EMPTY
+            if empty > self.number / 2 + MAX_EMPTY:
+                raise UserError(self.where, "comes after more empty lines than others", AGAIN)
             yield line
 
     @property
@@ -134,7 +140,6 @@ def _hierarchy(lines: Lines, statements: Iterator[str]) -> Tree:
     """Read up to and with the line MOTION."""
     tree, count = Tree(), 0
     for line in statements:
-        count += 1
         for statement in filter(None, (part.strip() for part in re.split(r"([{}])", line))):
             count += 1
             key, *words = statement.split()
@@ -145,8 +150,6 @@ def _hierarchy(lines: Lines, statements: Iterator[str]) -> Tree:
             if count > MAX_STATEMENTS or not tree.take(lines.where, key.upper(), words):
                 problem = f"'{statement[:40]}' does not belong here, {len(tree.opened)} braces deep"
                 raise UserError(lines.where, problem, AGAIN)
-        if count > MAX_STATEMENTS:
-            break
     raise UserError(lines.where, "the file ends inside its HIERARCHY", AGAIN)
 
 
@@ -174,8 +177,8 @@ def _channels(where: str, words: list[str]) -> tuple[str, ...]:
 
 
 def _field(lines: Lines, statements: Iterator[str], name: str, kind: type):
-    for blank, line in enumerate(statements):
-        if line.strip() or blank > MAX_STATEMENTS:
+    for line in statements:
+        if line.strip():
             head, colon, value = line.partition(":")
             try:
                 if (head.strip() + colon).lower() != name.lower():
@@ -194,12 +197,8 @@ def _values(lines: Lines, statements: Iterator[str], frames: int, tree: Tree) ->
 
     def rows() -> Iterator[str]:
         nonlocal frame, row
-        blank = 0
         for line in statements:
             if not line.strip():
-                blank += 1
-                if blank > frames + MAX_STATEMENTS:
-                    raise UserError(lines.where, "holds more blank lines than frames", AGAIN)
                 continue
             frame, row = frame + 1, line
             if frame == frames:

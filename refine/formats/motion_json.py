@@ -7,7 +7,6 @@ parent's frame, and ``betas`` where a shape is known. Quaternions keep their sig
 """
 
 import json
-import math
 from pathlib import Path
 from typing import Any
 
@@ -75,7 +74,7 @@ def read_motion_json(path: str | Path) -> Motion:
     if found.get("joints") != list(JOINT_NAMES):
         raise UserError(path, "names other joints than SMPL's 24", REMEDY)
     fps, label, gender = (found.get(key) for key in ("fps", "label", "gender"))
-    if type(fps) not in (int, float) or not isinstance(label, str) or gender not in GENDERS:
+    if type(fps) not in (int, float) or not abs(fps) < 1e9 or not isinstance(label, str) or gender not in GENDERS:
         raise UserError(path, "has no fps, label or gender that could be one", REMEDY)
     root = _numbers(path, found, "root", (3,))
     quaternions = _numbers(path, found, "rotations", (len(JOINT_NAMES), 4))
@@ -105,5 +104,5 @@ def _numbers(path: str | Path, found: dict, key: str, shape: tuple[int, ...]) ->
 
 def _fits(value: Any, shape: tuple[int, ...]) -> bool:
     if not shape:
-        return type(value) in (int, float) and math.isfinite(value) and abs(value) < 1e9
+        return type(value) in (int, float) and abs(value) < 1e9  # NaN and infinity are not
     return isinstance(value, list) and len(value) == shape[0] and all(_fits(one, shape[1:]) for one in value)

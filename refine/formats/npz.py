@@ -208,4 +208,4 @@ def check_sizes(path: str | Path, members: list[zipfile.ZipInfo], size: int, max
     if unpacked > max_bytes:
         raise UserError(path, f"unpacks to {unpacked} bytes, more than the {max_bytes} allowed", "split the file")
     if unpacked > max(SMALL, MAX_RATIO * size):
-        raise UserError(path, f"has {size} bytes and unpacks to {unpacked}, as no motion does", REMEDY)
+        raise UserError(path, f"has {size} bytes and unpacks to {unpacked}, as no numbers do", "get or write it again")

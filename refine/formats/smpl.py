@@ -52,7 +52,8 @@ def _read(path: Path) -> dict[str, np.ndarray]:
         raise UserError(path, "is no file that a body comes in", "give a .npz or .pkl")
     stored = read_pickle(path)
     if not isinstance(stored, dict):
-        raise UserError(path, f"holds a {type(stored).__name__}, not the dictionary of an SMPL body", REMEDY)
+        what = stored.name if isinstance(stored, Inert) else type(stored).__name__
+        raise UserError(path, f"holds a {what}, not the dictionary of an SMPL body", REMEDY)
     return {key: _array(f"{path}, array '{key}'", stored[key]) for key in KEYS if key in stored}
 
 

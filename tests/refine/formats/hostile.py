@@ -1,0 +1,124 @@
+"""Files that were made to do harm, and what the readers answer.
+
+python tests/refine/formats/hostile.py          prints the table of docs/hostile.md
+python tests/refine/formats/hostile.py --json   what became of each, for the tests
+"""
+
+import contextlib
+import gc
+import importlib
+import json
+import os
+import resource
+import sys
+import tempfile
+import time
+import warnings
+from collections.abc import Callable
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from hostile_cases import Case
+
+os.environ["OMP_NUM_THREADS"] = "1"  # the threads of a process do not live on in its children
+sys.path[:0] = [str(Path(__file__).parent), str(Path(__file__).resolve().parents[3])]
+CASES: "dict[str, Case]" = importlib.import_module("hostile_cases").CASES
+for subject in ("files", "bvh", "arrays", "pickles", "meshes", "others"):
+    importlib.import_module(f"hostile_{subject}")
+
+READERS = ("motion", "body", "weights", "labels", "mapping", "json")
+SECONDS, MEGABYTES = 10, 4000  # at which a reader is stopped
+
+
+def readers() -> dict[str, Callable[[Path], object]]:
+    """What reads each kind; they are imported here, so that what they take is not counted."""
+    from refine.formats.files import load_motions
+    from refine.formats.labels import read_labels
+    from refine.formats.smpl import load_body
+    from refine.formats.untrusted import read_json
+    from refine.mae import load_mae
+    from refine.mapping import read_mapping
+    from renderers.body import Body
+
+    rest = Body.free("light").rest_joints
+    given = (lambda path: load_motions(path, rest), load_body, load_mae, read_labels, read_mapping, read_json)
+    return dict(zip(READERS, given, strict=True))
+
+
+def outcome(case: "Case", read: Callable[[Path], object]) -> dict:
+    """Read a file in a process of its own, in an empty folder beside it.
+
+    Returns:
+        error: the kind of what was raised, "" if nothing was, or "died".
+        answer: its message, without the folder.
+        seconds: of the processor. megabytes: beyond those of before.
+        written: the names of files that were not there before.
+    """
+    with tempfile.TemporaryDirectory() as name:
+        folder, empty = Path(name) / "files", Path(name) / "empty"
+        folder.mkdir()
+        empty.mkdir()
+        path = case.make(folder)
+        before = listing(Path(name))
+        reading, writing = os.pipe()
+        child = os.fork()
+        if child == 0:
+            os.close(reading)
+            os.chdir(empty)
+            with os.fdopen(writing, "w") as pipe:
+                json.dump(read_here(path, read), pipe)
+            os._exit(0)
+        os.close(writing)
+        with os.fdopen(reading) as pipe:
+            told = pipe.read()
+        _, status = os.waitpid(child, 0)
+        found = json.loads(told) if told else {"error": "died", "answer": str(status), "seconds": 0, "megabytes": 0}
+        written = sorted(listing(Path(name)) - before)
+        return {**found, "answer": found["answer"].replace(f"{folder}/", ""), "file": path.name, "written": written}
+
+
+def read_here(path: Path, read: Callable[[Path], object]) -> dict:
+    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
+    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    start = time.process_time()
+    error, answer = "", "is read"
+    with warnings.catch_warnings(), contextlib.redirect_stdout(sys.stderr):
+        warnings.simplefilter("ignore")
+        try:
+            read(path)
+        except BaseException as raised:
+            error, answer = type(raised).__name__, str(raised)
+    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    megabytes = (after - before) / 1024
+    return {"error": error, "answer": answer, "seconds": time.process_time() - start, "megabytes": megabytes}
+
+
+def listing(folder: Path) -> set[str]:
+    return {str(path.relative_to(folder)) for path in folder.rglob("*")}
+
+
+def outcomes(names: list[str] | None = None) -> dict[str, dict]:
+    import torch
+
+    torch.set_num_threads(1)
+    ways = readers()
+    gc.collect()
+    gc.freeze()  # else a child copies what it shares with its parent, when it looks for garbage
+    return {name: outcome(CASES[name], ways[CASES[name].reader]) for name in names or CASES}
+
+
+def table(found: dict[str, dict]) -> str:
+    """Markdown, a row for each file."""
+    lines = ["| file | read as | what it is | answer |", "|---|---|---|---|"]
+    for name, told in found.items():
+        answer = told["answer"].removeprefix(told["file"]).lstrip(":, ").replace("|", "\\|").replace("<", "&lt;")
+        lines.append(f"| `{told['file']}` | {CASES[name].reader} | {CASES[name].tries} | {answer} |")
+    return "\n".join(lines)
+
+
+if __name__ == "__main__":
+    wanted = [word for word in sys.argv[1:] if not word.startswith("-")]
+    found = outcomes(wanted)
+    print(json.dumps(found) if "--json" in sys.argv else table(found))
