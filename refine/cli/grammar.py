@@ -7,7 +7,7 @@ import ast
 import inspect
 import textwrap
 import types
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import MISSING, Field, dataclass, fields, is_dataclass
 from functools import cache, cached_property, partial
 from pathlib import Path
@@ -30,7 +30,7 @@ class Flag:
     said: str
     """Its description, in one line."""
     default: str | None = None
-    """What it is unless given, as typed; None where it has to be given."""
+    """What it is unless given, as typed; None where it has to be given. What a switch is about is "on" or "off"."""
     choices: tuple[str, ...] = ()
     """All that it may be, if they are few."""
     positional: bool = False
@@ -48,9 +48,14 @@ class Command:
     """As typed after ``refine``, such as "data import"; "" for ``refine`` itself."""
     said: str
     """Its description, as in ``--help``."""
-    flags: tuple[Flag, ...] = ()
+    read: Callable[[], Iterable[Flag]] = tuple
+    """Makes ``flags``."""
     below: Callable[[], dict[str, "Command"]] = dict
     """Makes ``commands``, and imports for it what presets are made of."""
+
+    @cached_property
+    def flags(self) -> tuple[Flag, ...]:
+        return tuple(self.read())
 
     @cached_property
     def commands(self) -> dict[str, "Command"]:
@@ -82,13 +87,13 @@ def grammar(verbs: Mapping[str, Any], name: str = "") -> Command:
             made[word] = grammar(verb, path)
         elif word:
             presets = partial(_presets, path, verb.presets) if hasattr(verb, "presets") else dict
-            made[word] = Command(path, inspect.getdoc(verb) or "", tuple(_flags(verb)), presets)
+            made[word] = Command(path, inspect.getdoc(verb) or "", partial(_flags, verb), presets)
     return Command(name, verbs.get("", ""), below=lambda: made)
 
 
 def _presets(name: str, presets: Callable[[], dict[str, tuple[str, Any]]]) -> dict[str, Command]:
     return {
-        word: Command(f"{name} {word}", said, tuple(_flags(type(config), config)))
+        word: Command(f"{name} {word}", said, partial(_flags, type(config), config))
         for word, (said, config) in presets().items()
     }
 
@@ -111,8 +116,8 @@ def _flags(owner: type, values: Any = None, prefix: str = "") -> Iterator[Flag]:
         if is_dataclass(kind):
             yield from _flags(kind, default, f"{prefix}{name}." if name else prefix)
         elif kind is not Any:
-            positional = POSITIONAL in notes
-            typed = (name.upper(),) if positional else (*aliases, f"--{prefix}{name}")
+            positional, off = POSITIONAL in notes, "no-" if kind is bool and default is True else ""
+            typed = (name.upper(),) if positional else (*aliases, f"--{prefix}{off}{name}")
             value, choices = _value(kind)
             said = " ".join(_said(owner).get(each.name, "").split())
             yield Flag(typed, value, said, _typed(default), choices, positional)
@@ -155,7 +160,7 @@ def _typed(value: Any) -> str | None:
     if value is None or value == () or value == "":
         return "none"
     if isinstance(value, bool):
-        return "yes" if value else "no"
+        return "on" if value else "off"
     if isinstance(value, tuple):
         return " ".join(str(_typed(each)) for each in value)
     return f"{value:g}" if isinstance(value, float) else str(value)

@@ -8,6 +8,7 @@ from contextlib import nullcontext, redirect_stderr, redirect_stdout
 from dataclasses import dataclass
 from importlib.metadata import version
 from io import BytesIO, TextIOWrapper
+from itertools import dropwhile, takewhile
 from typing import Any
 
 from tyro.conf import CascadeSubcommandArgs, FlagCreatePairsOff, Positional, PositionalMetavarFromFieldName
@@ -123,13 +124,15 @@ def parsed(argv: Sequence[str]) -> Any:
     if argv == ["--version"]:
         print(f"refine {version('refine-motion')}")
         raise SystemExit(0)
+    if not {"-h", "--help"} & set(argv):
+        check_words(argv)
     complaint, plain = _page(), _page() if os.environ.get("NO_COLOR") else None
     try:
         with redirect_stderr(complaint), redirect_stdout(plain) if plain else nullcontext():
             return app(VERBS).cli(prog="refine", description=DESCRIPTION, args=argv, config=STYLE)
     except SystemExit as stopped:
         if stopped.code:
-            raise usage_error(argv, _written(complaint)) from None
+            raise wrong(argv, first_of(_written(complaint))) from None
         print(_written(plain) if plain else "", EXIT_CODES, sep="")
         raise
 
@@ -154,26 +157,34 @@ def app(verbs: dict[str, Any]) -> SubcommandApp:
     return made
 
 
-def usage_error(argv: Sequence[str], complaint: str) -> UserError:
-    """In one line what is wrong with the words, and what is meant by them.
+def check_words(argv: Sequence[str]) -> None:
+    """Refuse verbs and flags that there are not, before the parser does, which would import all there is for it.
 
-    Args:
-        complaint: what the parser says, in a box of many lines.
+    Raises:
+        UserError: offering what is nearest in spelling.
     """
     chain = grammar(VERBS).along(argv)
     last, rest = chain[-1], argv[len(chain) - 1 :]
-    where, remedy = last.name or "command line", f"see `{' '.join(['refine', *last.name.split()])} --help`"
     if last.commands and rest and not rest[0].startswith("-"):
-        return UserError(where, f"there is no {rest[0]!r}", offer(rest[0], last.commands) or remedy)
+        raise wrong(argv, f"there is no {rest[0]!r}", offer(rest[0], last.commands))
     known = [name for command in chain for flag in command.flags if not flag.positional for name in flag.names]
     for word in rest:
         flag = word.partition("=")[0].replace("_", "-")
         if flag.startswith("--") and flag.strip("-") and flag not in known:
-            return UserError(where, f"has no flag {flag}", offer(flag, known) or remedy)
-    lines = [line.strip("╭╮╰╯│─| ") for line in complaint.splitlines()[1:]]
-    lines = [line.strip("+-") and line for line in lines]  # without rules
-    first = " ".join(lines[: lines.index("")] if "" in lines else lines)
-    return UserError(where, first.rstrip(".") or "cannot be understood", remedy)
+            raise wrong(argv, f"has no flag {flag}", offer(flag, known))
+
+
+def wrong(argv: Sequence[str], problem: str, remedy: str = "") -> UserError:
+    """What is wrong with the words, at the last command that they name."""
+    name = grammar(VERBS).along(argv)[-1].name
+    return UserError(name or "command line", problem, remedy or f"see `{f'refine {name}'.strip()} --help`")
+
+
+def first_of(complaint: str) -> str:
+    """In one line what the parser says first, in a box of many lines that a title stands on."""
+    lines = (line.strip("╭╮╰╯│─| ") for line in complaint.splitlines()[1:])
+    lines = dropwhile(lambda line: not line, (line.strip("+-") and line for line in lines))  # without rules
+    return " ".join(takewhile(bool, lines)).rstrip(".") or "cannot be understood"
 
 
 def offer(word: str, known: Iterable[str]) -> str:
