@@ -147,6 +147,8 @@ def _known(keys: set[str], words: list[Word]) -> tuple[str, dict[str, str]] | No
     if name == "Mixamo" and any(word.key == "lowerback" for word in words):
         name = "CMU (BVH)"
     columns = _mixed(keys - set(columns.values()), columns)
+    if columns.get("wrist") == "wrist" and "hand" in keys:
+        columns["hand"] = "hand"
     return (name or "of mixed names", columns) if set(NEEDED) <= set(columns) else None
 
 

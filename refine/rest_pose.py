@@ -46,7 +46,7 @@ ALIGNED = 13.0  # degrees by which the joints of such a rig seem to be off their
 SNAP = 50.0  # degrees within which an axis of a joint is taken for the one that is meant
 TRUNK_SNAP = 20.0  # and in the spine, which stands straighter than limbs do
 FAR = 75.0  # degrees up to which it is taken for that of the joint before
-SAME_AXES = (("hip", "knee"), ("shoulder", "elbow"), ("elbow", "wrist"))
+SAME_AXES = (("hip", "knee"), ("shoulder", "elbow"), ("elbow", "wrist"), ("wrist", "hand"))
 SPINE = ("pelvis", "spine1", "spine2", "spine3")
 TRUNK = (*SPINE, "neck", "head", "left_collar", "right_collar")
 
@@ -254,6 +254,7 @@ def _limb_frames(
                     far = end.endswith("hand") and (turned * frame).sum((-1, -2)).min() < 2.0
                     frame = frame if far else turned
                 found[start] = frame
+        found[f"{side}_hand"] = found[f"{side}_wrist"]
     return found
 
 
@@ -345,7 +346,7 @@ def _snapped(bvh: Bvh, joints: Joints, local: dict[str, Tensor], rest: dict[str,
     before["head"] = "neck"
     axes: dict[str, Tensor] = {}
     for name, turn in local.items():
-        if before.get(name) in axes and (name.endswith("wrist") or _apart(axes[before[name]], turn) < FAR):
+        if before.get(name) in axes and (name.endswith(("wrist", "hand")) or _apart(axes[before[name]], turn) < FAR):
             axes[name] = axes[before[name]]
         elif "collar" not in name and _apart(nearest[name], turn) < (TRUNK_SNAP if name in SPINE else SNAP):
             axes[name] = nearest[name]

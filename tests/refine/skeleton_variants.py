@@ -233,3 +233,72 @@ def told_otherwise(bvh: Bvh, axes: str, unit: str = "cm", all_positions: bool = 
     moving = ("Xposition", "Yposition", "Zposition")
     channels = [(moving + turning) if joint == 0 or all_positions else turning for joint in range(len(bvh.names))]
     return replace(bvh, channels=tuple(channels), unit=unit)
+
+
+def like_lafan1(bvh: Bvh) -> Bvh:
+    """LAFAN1's names, order and frames: every bone along x; of the body's directions y is forward in trunk and legs and
+    back in arms. Its zero pose is a heap."""
+    left, up, ahead = torch.eye(3, dtype=torch.float64)
+    axes = []
+    for joint, name in enumerate(JOINT_NAMES):
+        bones = [bvh.offsets[child] for child, parent in enumerate(bvh.parents) if parent == joint]
+        limb = name.partition("_")[2] in ("hip", "knee", "ankle", "shoulder", "elbow", "wrist")
+        arm = name.partition("_")[2] in ("collar", "shoulder", "elbow", "wrist", "hand")
+        leg = name.partition("_")[2] in ("hip", "knee", "ankle")
+        x = normalize(bones[0], dim=0) if limb else up
+        if arm and not limb:
+            x = left if name.startswith("left") else -left
+        if name.endswith("foot"):
+            x = ahead
+        y = (
+            -ahead
+            if arm
+            else ahead
+            if leg and "ankle" not in name
+            else up
+            if "ankle" in name or "foot" in name
+            else ahead
+        )
+        y = normalize(y - (y @ x) * x, dim=0)
+        axes.append(torch.stack([x, y, torch.linalg.cross(x, y)], dim=1))
+    return told_otherwise(renamed(refolded(bvh, torch.stack(axes)), smpl_names("LAFAN1")), "zyx")
+
+
+def on_fours(hind: float = 0.3, fore: float = 0.3, trunk: float = 0.6, frames: int = 8, tail: bool = True) -> Bvh:
+    """A dog that stands: a level trunk along z, four legs down, a head and a tail; lengths in metres."""
+    names, parents, offsets = ["root"], [-1], [(0.0, 0.6, 0.0)]
+
+    def chain(parent: str, *bones: tuple[str, tuple[float, float, float]]) -> None:
+        for name, offset in bones:
+            parents.append(names.index(parent))
+            names.append(name)
+            offsets.append(offset)
+            parent = name
+
+    chain("root", ("back", (0, 0.02, trunk / 2)), ("chest", (0, 0.0, trunk / 2)))
+    chain("chest", ("neck", (0, 0.1, 0.1)), ("skull", (0, 0.1, 0.1)))
+    for letter, side in (("L", 0.1), ("R", -0.1)):
+        chain(
+            "root", (f"ham{letter}", (side, 0, 0)), (f"hock{letter}", (0, -hind, 0.05)), (f"paw{letter}", (0, -hind, 0))
+        )
+        chain(f"paw{letter}", (f"claw{letter}", (0, 0, 0.06)))
+        chain(
+            "chest",
+            (f"blade{letter}", (side, 0, 0)),
+            (f"fore{letter}", (0, -fore, 0)),
+            (f"wrist{letter}", (0, -fore, 0)),
+        )
+        chain(f"wrist{letter}", (f"digit{letter}", (0, 0, 0.06)))
+    if tail:
+        chain("root", ("tail1", (0, 0, -0.15)), ("tail2", (0, 0, -0.15)), ("tail3", (0, 0, -0.15)))
+    bones = torch.tensor(offsets, dtype=torch.float64)
+    return Bvh(
+        names=tuple(names),
+        parents=tuple(parents),
+        offsets=bones,
+        channels=(("Zrotation", "Xrotation", "Yrotation"),) * len(names),
+        ends=(),
+        rotations=torch.eye(3, dtype=torch.float64).repeat(frames, len(names), 1, 1),
+        positions=bones.repeat(frames, 1, 1),
+        fps=30.0,
+    )
