@@ -115,7 +115,7 @@ def try_blender(about: str) -> Iterator[Finding]:
         return
     try:
         code = "import bpy, json; print(json.dumps(bpy.app.version_string))"
-        version = ask(code, shutil.which(python) or python, isolated=True)
+        version = ask(code, python=shutil.which(python) or python, isolated=True)
     except UserError as error:
         yield Finding(about, "Blender", "broken", f"{VARIABLE}={python} {error.problem}", REMEDY, False)
         return
