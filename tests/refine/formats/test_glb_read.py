@@ -295,6 +295,7 @@ def test_scales_that_keep_angles_are_no_rotation(tmp_path):
         (np.arange(50) / 24, {}, None, (24.0, 50)),
         (np.arange(50) / 29.97, {}, None, (29.97, 50)),
         (np.arange(50) / 24 + 10, {}, None, (24.0, 50)),
+        (np.arange(50) / 20_000, {}, None, (30.0, 1)),
         ([0.0, 0.5, 2.0], {}, None, (30.0, 61)),
         ([0.25], {}, None, (30.0, 1)),
         ([0.0, 0.5, 2.0], {}, 12.0, (12.0, 25)),
