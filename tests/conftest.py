@@ -1,6 +1,7 @@
 """Shared fixtures: real clips where they are, a seeded generator, the free body's T-pose joints."""
 
 import os
+import signal
 import zipfile
 from pathlib import Path
 
@@ -9,6 +10,10 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 
 import pytest
 import torch
+
+# A job in the background ignores Ctrl-C, and so would every program that a test starts and interrupts.
+if signal.getsignal(signal.SIGINT) == signal.SIG_IGN:
+    signal.signal(signal.SIGINT, signal.default_int_handler)
 
 SHARED = Path(os.environ.get("REFINE_SHARED", Path(__file__).resolve().parents[2] / "shared"))
 
