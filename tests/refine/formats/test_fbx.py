@@ -68,8 +68,10 @@ def test_blender_gets_a_glb_and_the_rate_and_its_file_is_taken(walk, free_body, 
     assert not Path(source).parent.exists()
 
 
-def test_blender_that_fails_is_said(walk, free_body, tmp_path, blender):
-    blender('echo working; echo "no memory" >&2; exit 3')
+@pytest.mark.parametrize("before", ["echo working", 'cp "$3" "$4"'])
+def test_blender_that_fails_is_said(walk, free_body, tmp_path, blender, before):
+    """Also where it left half a file."""
+    blender(f'{before}; echo "no memory" >&2; exit 3')
     with pytest.raises(UserError, match=r"Blender did not write it \(no memory\)"):
         fbx.write_fbx(tmp_path / "out" / "a.fbx", walk, free_body)
     assert not (tmp_path / "out").exists()
