@@ -7,7 +7,7 @@ from functools import cached_property
 import torch
 from torch import Tensor
 
-from renderers.checks import UserError, check_finite, check_shapes
+from renderers.checks import UserError, check_finite, check_shapes, printable
 from renderers.rotations import heading, matrix_from_6d, matrix_to_6d, rotation_about, slerp
 from renderers.skeleton import JOINT_NAMES, MIRRORED, forward_kinematics
 
@@ -22,8 +22,8 @@ class Motion:
         rotations: [T 24 3 3] local rotations relative to the T-pose in SMPL's order; joint 0 is the global orientation.
         root: [T 3] world position of the pelvis *joint* (SMPL's ``transl`` plus the rest pelvis).
         fps: frames per second.
-        label: the action's name, for example ``"wave-both-hands"``.
-        source: where the clip came from, for messages.
+        label: the action's name, for example ``"wave-both-hands"``; control characters in it are written as in Python.
+        source: where the clip came from, for messages; likewise.
         betas: [B] shape of the body that performed it, as SMPL has it, if that is known.
         gender: "neutral", "female" or "male".
 
@@ -46,6 +46,8 @@ class Motion:
             raise UserError(self.source, "has no frames", "give a clip of at least two frames")
         if len(self.label) > LONGEST_LABEL:
             raise UserError(self.source, f"has a label of {len(self.label)} characters", "give it a short one")
+        for name in ("label", "source"):  # so that no output of them need care
+            object.__setattr__(self, name, printable(getattr(self, name)))
         if not 0 < self.fps < 10_000:
             raise UserError(self.source, f"frame rate {self.fps} is not a number of frames per second")
         check_finite(self.source, self.rotations, "frame joint row column", {"joint": JOINT_NAMES})

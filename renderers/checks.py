@@ -28,6 +28,8 @@ def printable(line: str) -> str:
     >>> printable("walk\x1b[31m\r")
     'walk\\x1b[31m\\r'
     """
+    if line.isprintable():
+        return line
     return "".join(
         character if character.isprintable() or character in "\t " else character.encode("unicode_escape").decode()
         for character in line.encode("utf-8", "backslashreplace").decode()
