@@ -165,10 +165,10 @@ def test_a_real_clip(real_clips, free_body, tmp_path):
 
 
 def test_labels_stay_text(walk, free_body, tmp_path):
-    label = '</script>"\x1b[31m\n\u00e9'
-    write_glb(tmp_path / "a.glb", replace(walk, label=label), free_body)
+    motion = replace(walk, label='</script>"\x1b[31m\n\u00e9')
+    write_glb(tmp_path / "a.glb", motion, free_body)
     judge = Judge(tmp_path / "a.glb")
-    assert judge.document["animations"][0]["name"] == label
+    assert judge.document["animations"][0]["name"] == motion.label
     assert judge.document["asset"] == {"version": "2.0", "generator": GENERATOR}
     raw = (tmp_path / "a.glb").read_bytes()
     assert b"\x1b" not in raw[20 : raw.index(b"BIN\0")]
