@@ -111,7 +111,7 @@ def _word(words: list[str]) -> Word:
     letters = [word for word in letters if word not in MIDDLE_WORDS] or letters
     side = ""
     for place in (0, -1):
-        if len(letters) > 1 and not side and letters[place] in SIDE_WORDS:
+        if letters and len(words) > 1 and not side and letters[place] in SIDE_WORDS:
             side = SIDE_WORDS[letters.pop(place)]
     for place in range(1, len(letters) - 1):  # J_Bip_L_Hand with nothing shared
         if not side and letters[place] in SIDE_WORDS:

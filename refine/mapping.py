@@ -10,27 +10,22 @@ import torch
 from torch import Tensor
 from torch.nn.functional import normalize
 
+from refine.finding_joints import check_human, find_joints
 from refine.formats.bvh import UNITS, Bvh
 from refine.formats.untrusted import read_json
-from refine.joint_names import NEEDED, by_name, read_names
+from refine.joint_axes import places
+from refine.joint_names import NEEDED
 from refine.rest_pose import (
     AXES,
     STANDS,
-    Poses,
     axis_of,
     body_up,
-    forward,
-    knees_ahead,
     moving,
-    places,
     standing,
-    toes_ahead,
-    trunk,
     up_axis,
     zero_pose,
 )
 from refine.skeletons import LIMBS, SIDES, SKELETONS, Skeleton
-from refine.topology import by_topology, with_trunk
 from renderers.checks import UserError, check_known
 from renderers.skeleton import JOINT_NAMES
 
@@ -39,7 +34,6 @@ FRAMES = 2000  # frames that are looked at
 VERSION = 1
 ZERO_POSE, STRAIGHTEST = "zero pose", "straightest frames"
 REQUIRED = ("pelvis", *(f"{side}_{joint}" for joint in NEEDED for side in SIDES))
-REMEDY = "give the motion of one person, or say which joint is which in a mapping"
 SPINE = ("pelvis", "spine1", "spine2", "spine3")
 
 
@@ -155,11 +149,11 @@ def mapping_of(bvh: Bvh) -> Mapping:
         up = up_axis(moving(thinned(bvh, 32)), joints, "y")
         return _described(bvh, known.name, joints, up, ZERO_POSE, 1.0, _notes(up))
     rest, motion = zero_pose(bvh), moving(thinned(bvh))
-    joints, skeleton, confidence, notes = _found(bvh, rest, motion)
+    joints, skeleton, confidence, notes = find_joints(bvh, rest, motion)
     stands = standing(rest.points, joints)[0].item()
     told = axis_of(body_up(rest.points, joints)[0]) if stands > STANDS else None
     up = up_axis(motion, joints, told)
-    _check_human(bvh, joints, motion, up, stands)
+    check_human(bvh, joints, motion, up, stands)
     notes = [*notes, *_notes(up)]
     if told is None:
         notes.append("its zero pose is no pose of a body: joints' axes are told by the straightest frames")
@@ -222,78 +216,6 @@ def thinned(bvh: Bvh, frames: int = FRAMES) -> Bvh:
 
 def _frames(bvh: Bvh, frames: Tensor) -> Bvh:
     return replace(bvh, rotations=bvh.rotations[frames], positions=bvh.positions[frames])
-
-
-def _found(bvh: Bvh, rest: Poses, motion: Poses) -> tuple[dict[str, int], str, float, list[str]]:
-    """(joints, skeleton's name, confidence, notes) by names, else by topology, left and right set right."""
-    words = read_names(bvh.names)
-    helpers = frozenset(index for index, word in enumerate(words) if word.helper)
-    named = by_name(bvh.names)
-    toes_and_knees = toes_ahead, lambda _bvh, poses, joints: knees_ahead(poses, joints)
-    if named:
-        joints = with_trunk(bvh, named.joints, helpers)
-        toes, knees = (ahead(bvh, motion, joints) for ahead in toes_and_knees)
-        if toes is not None and toes < -0.5 and (knees or -1.0) < 0:
-            note = "its toes point backwards: left and right are named the wrong way round and were exchanged"
-            return exchanged(joints), named.skeleton, 0.8, [note]
-        return joints, named.skeleton, 1.0, []
-    few = motion._make(tensor[:: max(1, len(tensor) // 32)] for tensor in motion)
-    both = Poses(*(torch.cat(pair) for pair in zip(rest, few, strict=True)))
-    joints, quality = by_topology(bvh, both)
-    if not joints:
-        raise UserError(
-            bvh.source, f"no two legs and two arms among its {len(bvh.names)} joints: it is no body", REMEDY
-        )
-    if quality < 0.5:
-        raise UserError(bvh.source, "no pose of it stands on two legs: it is no person, or lies all the time", REMEDY)
-    joints = with_trunk(bvh, joints)
-    notes = ["its joint names are not known: they were told by the shape of the skeleton"]
-    for ahead, by in zip(toes_and_knees, ("toes", "knees"), strict=True):
-        value = ahead(bvh, motion, joints)
-        if value is not None and abs(value) > 0.3:
-            joints = joints if value > 0 else exchanged(joints)
-            return (
-                joints,
-                "of unknown names",
-                0.9 * quality,
-                [*notes, f"left and right are told by where its {by} point"],
-            )
-    sides = [(words[joint].side, name.partition("_")[0]) for name, joint in joints.items()]
-    wrong = sum({theirs, ours} == set(SIDES) for theirs, ours in sides)
-    right = sum(theirs == ours for theirs, ours in sides)
-    if wrong + right == 0:
-        ahead = forward(rest.points if standing(rest.points, joints)[0] > STANDS else motion.points, joints).mean(dim=0)
-        wrong = ahead[2] < 0 or (ahead[2] < 0.5 and ahead[1] > 0.5)
-        notes.append("it has no toes and bends no knee: left and right are guessed, check that it faces ahead")
-    return exchanged(joints) if wrong > right else joints, "of unknown names", 0.5 * quality, notes
-
-
-def exchanged(joints: dict[str, int]) -> dict[str, int]:
-    """Left and right the other way round."""
-    other = dict(zip(SIDES, reversed(SIDES), strict=True))
-    return {
-        f"{other[name.partition('_')[0]]}_{name.partition('_')[2]}" if "_" in name else name: joint
-        for name, joint in joints.items()
-    }
-
-
-def _check_human(bvh: Bvh, joints: dict[str, int], motion: Poses, up: str, stands: float) -> None:
-    """Refuse what goes on four legs: the trunk level, the arms down, legs hardly longer than the trunk."""
-    if stands > STANDS:
-        return
-    points, vertical = motion.points, motion.points.new_tensor(AXES[up])
-
-    def apart(start: str, end: str) -> float:
-        return (points[:, joints[f"left_{end}"]] - points[:, joints[f"left_{start}"]]).norm(dim=-1).mean().item()
-
-    arms = sum(
-        normalize(points[:, joints[f"{side}_wrist"]] - points[:, joints[f"{side}_shoulder"]], dim=-1) for side in SIDES
-    )
-    on_fours = (trunk(points, joints) @ vertical < 0.6) & (arms @ vertical < -1.0)
-    if on_fours.double().mean() > 0.9 and apart("hip", "knee") + apart("knee", "ankle") < 1.2 * apart(
-        "hip", "shoulder"
-    ):
-        raise UserError(bvh.source, "it goes on four legs in all its frames: it is no person", REMEDY)
 
 
 def _notes(up: str) -> list[str]:

@@ -14,9 +14,10 @@ import torch
 from torch import Tensor
 
 from refine.formats.bvh import Bvh, world
+from refine.joint_axes import frame_of
 from refine.mapping import Mapping, mapping_of, skeleton_of
 from refine.motion import Motion
-from refine.rest_pose import TO_Y_UP, frame_of
+from refine.rest_pose import TO_Y_UP
 from refine.skeletons import LIMBS, Skeleton, Y, Z
 from renderers.checks import UserError, check_shapes
 from renderers.rotations import slerp

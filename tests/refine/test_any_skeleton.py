@@ -13,7 +13,8 @@ from refine.motion import Motion
 from refine.retarget import retarget
 from refine.skeletons import BANDAI_NAMCO, LIMBS
 from refine.synthetic import draw, perform
-from renderers.rotations import heading, rotation_about, rotation_angle
+from renderers.checks import UserError
+from renderers.rotations import axis_angle_to_matrix, heading, rotation_about, rotation_angle
 from renderers.skeleton import JOINTS, forward_kinematics
 
 SIDES = ("left", "right")
@@ -297,3 +298,58 @@ def test_more_joints_of_the_spine(told, walk, rest_joints):
     mapping = mapping_of(bvh)
     assert [mapping.joints[f"spine{number}"] for number in (1, 2, 3)] == ["spine1", "spine2", "spine3"]
     check_same(retarget(bvh, rest_joints, mapping), walk, rest_joints)
+
+
+@pytest.mark.parametrize(("naming", "note"), [("Blender", "words in its names"), ("", "guessed")])
+def test_sides_without_toes_and_bent_knees(rest_joints, naming, note):
+    """One pose with stiff legs that end at the ankles, its names unknown but for their sides, or wholly."""
+    still = motion_to_bvh(Motion(torch.eye(3).repeat(1, 24, 1, 1), torch.zeros(1, 3), 30.0), rest_joints)
+    names = [
+        f"q{place}" + (f".{name[0].upper()}" if naming and "_" in name else "") for place, name in enumerate(JOINTS)
+    ]
+    feet = [JOINTS["left_foot"], JOINTS["right_foot"]]
+    keep = [joint for joint in range(24) if joint not in feet]
+    bvh = variants.replace(
+        still, names=tuple(names[joint] for joint in keep), channels=tuple(still.channels[joint] for joint in keep),
+        parents=tuple(keep.index(still.parents[joint]) if joint else -1 for joint in keep), offsets=still.offsets[keep],
+        ends=tuple((keep.index(joint), end) for joint, end in still.ends if joint in keep),
+        rotations=still.rotations[:, keep], positions=still.positions[:, keep],
+    )  # fmt: skip
+    for turned_about in (bvh, variants.resting(bvh, {bvh.names[0]: turned(180, "y")}) if naming else bvh):
+        mapping = mapping_of(turned_about)
+        assert any(note in line for line in mapping.notes)
+        motion = retarget(turned_about, rest_joints, mapping)
+        torch.testing.assert_close(motion.rotations, torch.eye(3).repeat(1, 24, 1, 1), atol=1e-3, rtol=0)
+
+
+def test_whatever_comes_is_a_motion_or_one_line(rest_joints):
+    """Skeletons of all kinds, poses that no body takes, bones without length, sizes of no body."""
+    taken = refused = 0
+    for seed in range(80):
+        draw_from = torch.Generator().manual_seed(seed)
+
+        def chance(draw_from=draw_from) -> float:
+            return torch.rand((), generator=draw_from).item()
+
+        frames = 1 + int(6 * chance())
+        turns = axis_angle_to_matrix(1.5 * chance() * torch.randn(frames, 24, 3, generator=draw_from))
+        bvh = motion_to_bvh(Motion(turns, torch.randn(frames, 3, generator=draw_from), 30.0), rest_joints)
+        bvh = variants.renamed(bvh, variants.smpl_names(list(variants.NAMINGS)[seed % len(variants.NAMINGS)]))
+        bvh = variants.along_x(bvh, seed) if chance() < 0.4 else bvh
+        bvh = variants.z_up(bvh, chance() < 0.5) if chance() < 0.3 else bvh
+        bvh = variants.numbered(bvh) if chance() < 0.4 else bvh
+        bvh = variants.shuffled(bvh, seed) if chance() < 0.3 else bvh
+        if chance() < 0.3:
+            gone = torch.randint(24, (3,), generator=draw_from)
+            bvh.positions[:, gone], bvh.offsets[gone] = 0.0, 0.0
+        if chance() < 0.2:
+            bvh.positions.mul_(10 ** (20 * chance() - 12))
+        try:
+            motion = retarget(bvh, rest_joints)
+        except UserError as error:
+            refused += 1
+            assert "\n" not in str(error) and error.remedy
+        else:
+            taken += 1
+            assert (torch.linalg.det(motion.rotations) - 1).abs().max() < 1e-3
+    assert taken > 20 and refused > 5
