@@ -122,10 +122,12 @@ def _rate(where: str, curves: Mapping[Any, Curve], said: object) -> float:
     times = max((curve.times for curve in curves.values()), key=len)
     steps = np.diff(times)
     steps = steps[steps > 0]
-    rate = 1 / np.median(steps) if len(steps) else USUAL
-    if not SPARSE <= rate < 10_000:
+    step = np.median(steps) if len(steps) else math.inf
+    if not SPARSE <= 1 / step < 10_000:
         return USUAL
-    return float(round(rate)) if abs(rate - round(rate)) < 1e-3 * rate else float(rate)
+    span = steps.sum()  # over all of which 32 bits tell a step better than from key to key
+    rate = (len(steps) if steps.max() < 1.5 * step else round(span / step)) / span
+    return float(round(rate)) if abs(rate - round(rate)) < 2e-4 * rate else float(rate)
 
 
 def _seconds(where: str, curves: Mapping[Any, Curve], rate: float, limit: int) -> np.ndarray:

@@ -293,8 +293,10 @@ def test_scales_that_keep_angles_are_no_rotation(tmp_path):
     ("times", "said", "fps", "expected"),
     [
         (np.arange(50) / 24, {}, None, (24.0, 50)),
-        (np.arange(50) / 29.97, {}, None, (29.97, 50)),
+        (np.arange(50) * 1.001 / 30, {}, None, (30 / 1.001, 50)),
+        (np.arange(900) * 1.001 / 60 + 300, {}, None, (60 / 1.001, 900)),
         (np.arange(50) / 24 + 10, {}, None, (24.0, 50)),
+        (np.delete(np.arange(50), [3, 4, 30]) / 25, {}, None, (25.0, 50)),
         (np.arange(50) / 20_000, {}, None, (30.0, 1)),
         ([0.0, 0.5, 2.0], {}, None, (30.0, 61)),
         ([0.25], {}, None, (30.0, 1)),
