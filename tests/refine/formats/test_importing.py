@@ -83,16 +83,20 @@ def test_the_manifest_says_what_there_is_and_what_is_not(folder, tmp_path, rest_
 
 
 def test_any_number_of_workers_writes_the_same_bytes(folder, tmp_path, rest_joints):
-    config = labels_file(tmp_path, "file,label,start_frame,end_frame\n" + "".join(
-        f"{'even' if k % 2 == 0 else 'odd'}/{'walk' if k % 3 else 'wave'}_{k:02d}.npz,part {k % 2},{k % 4},9\n"
-        for k in range(9, -1, -1)
-    ))  # fmt: skip
+    lines = ["file,label,start_frame,end_frame", "broken.npz,part 0,,", "nan.npz,part 1,,"]
+    for k in range(9, -1, -1):
+        path = f"{'even' if k % 2 == 0 else 'odd'}/{'walk' if k % 3 else 'wave'}_{k:02d}.npz"
+        lines += [f"{path},part {k % 2},{k % 4},9", f"{path},too long,0,99"]
+    (tmp_path / "labels.csv").write_text("\n".join(lines))
     outs = []
     for workers in (1, 2):
-        config = ImportConfig(labels_file=config.labels_file, workers=workers)
-        import_clips(folder, tmp_path / f"by{workers}", rest_joints, config)
-        outs.append(contents(tmp_path / f"by{workers}"))
-    assert outs[0] == outs[1] and json.loads(outs[0]["manifest.json"])["clips"] == 10
+        done = import_clips(
+            folder, tmp_path / f"by{workers}", rest_joints, ImportConfig(None, tmp_path / "labels.csv", workers=workers)
+        )
+        outs.append((contents(tmp_path / f"by{workers}"), str(done)))
+    assert outs[0] == outs[1]
+    manifest = json.loads(outs[0][0]["manifest.json"])
+    assert manifest["clips"] == 10 and len(manifest["left_out"]) == 12
 
 
 @pytest.mark.parametrize(
