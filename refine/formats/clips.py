@@ -237,9 +237,9 @@ def _load_file(path: Path) -> list[Motion]:
     except ShapeError as error:
         raise UserError(path, f"is damaged ({error})", REMEDY) from error
     kinds = "".join(arrays[key].dtype.kind for key in KEYS + SHAPE_KEYS)
-    inside = lengths.min(initial=1) >= 1 and lengths.max(initial=0) <= sizes["N"]  # no sum of them overflows
-    fits = inside and lengths.sum() == sizes["N"] and not np.isinf(arrays["betas"]).any()
-    if kinds != "ffifUUfU" or not fits:
+    fits = kinds == "ffifUUfU" and not np.isinf(arrays["betas"]).any()
+    # Each length is held against the sum before they are summed, so that none overflows.
+    if not fits or not (1 <= lengths.min(initial=1) <= lengths.max(initial=1) <= sizes["N"] == lengths.sum()):
         raise UserError(path, "is damaged (lengths or types do not fit)", REMEDY)
     rotations = _rotations(torch.from_numpy(arrays["six"])).split(lengths.tolist())
     roots = torch.from_numpy(arrays["root"]).split(lengths.tolist())

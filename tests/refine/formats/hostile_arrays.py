@@ -348,6 +348,11 @@ def negative_lengths() -> bytes:
     return clips(lengths=np.array([6, -2]))
 
 
+@hostile("has lengths of clips in words", ".npz")
+def worded_lengths() -> bytes:
+    return clips(lengths=np.array([b"2", b"2"]))
+
+
 @hostile("has clips with labels that are numbers", ".npz")
 def numbered_labels() -> bytes:
     return clips(labels=np.array([1, 2]))
