@@ -110,7 +110,11 @@ def in_place(motion: Motion) -> Motion:
 
 
 def resample(motion: Motion, fps: float) -> Motion:
-    """The same motion at another frame rate: rotations by slerp, root linearly, never past the last frame."""
+    """The same motion at another frame rate: rotations by slerp, root linearly.
+
+    Of T frames come ``floor((T - 1) * fps / motion.fps) + 1``: the first is kept, and none lies behind the last, so
+    that nothing is made up. At the same rate the motion is the same to the last bit.
+    """
     if not 0 < fps < 10_000:
         raise UserError("resample(fps)", f"expected a positive frame rate, got {fps}")
     if fps == motion.fps or len(motion) == 1:

@@ -25,12 +25,14 @@ class Export:
 
     For programs: .bvh (skeleton and motion, centimetres), .glb (mesh, skin, skeleton and motion in one file), .fbx (by
     Blender's module, see BPY_PYTHON), .npz (AMASS, SMPL-H's layout), .npy (joint positions), .json. To look at: .mp4,
-    .gif, .png (poses along the path). With --format, a folder with a file for each motion; obj is there a folder with a
-    mesh for each frame.
+    .gif, .png (poses along the path), .obj (the mesh at --start). With --format, a folder with a file for each motion;
+    with obj, a mesh for each frame, and a folder for each motion where there are several.
 
     Example: refine export both.bvh -o both.glb
 
     Example: refine export 'clips/*.bvh' -o exported --format glb --fps 30 --in-place
+
+    Example: refine export both.bvh -o frames --format obj
     """
 
     motions: Positional[tuple[str, ...]]
@@ -69,12 +71,15 @@ class Export:
     def run(self) -> Result:
         from refine.cli.inputs import body_of, output_path, output_suffix
         from refine.formats.files import Reading
+        from refine.motion import crop
 
         suffix = f".{self.format}" if self.format else output_suffix(self.out)
         self.check(suffix)
         body = body_of(self.body, "full")
         reading = Reading(self.unit, self.source_fps, self.mapping, self.up)
         motions = [self.changed(motion) for motion in motions_of(self.motions, body, reading, self.seed)]
+        if suffix == ".obj" and not self.format:
+            motions = [crop(motion, 0, 1) for motion in motions]
         values = {
             "motions": [
                 {"label": motion.label, "source": motion.source, "frames": len(motion), "fps": motion.fps}
@@ -82,8 +87,7 @@ class Export:
             ]
         }
         if self.format:
-            made = write_folder(self.out, motions, body, suffix)
-            files = tuple(self.out / name for name in made)
+            files = write_folder(self.out, motions, body, suffix)
         else:
             if len(motions) > 1 and suffix != ".glb":
                 problem = f"{len(motions)} motions do not go into one {suffix} file"
@@ -94,7 +98,8 @@ class Export:
         frames = sum(map(len, motions))
         kinds = "1 motion" if len(motions) == 1 else f"{len(motions)} motions"
         rates = " or ".join(f"{fps:g}" for fps in sorted({motion.fps for motion in motions}))
-        return Result(f"{self.out}  {kinds}, {frames:,} frames at {rates} fps", files, values)
+        frames_said = "1 frame" if frames == 1 else f"{frames:,} frames"
+        return Result(f"{self.out}  {kinds}, {frames_said} at {rates} fps", files, values)
 
     def check(self, suffix: str) -> None:
         """Refuse before any work what would be refused after it."""
@@ -102,11 +107,12 @@ class Export:
         from refine.formats.files import SUFFIXES, check_suffix
         from renderers.outputs import refuse_existing
 
-        if not self.format and suffix == ".obj":
-            raise UserError(self.out, "is one file, and .obj is one a frame", "name a folder and add --format obj")
-        if not self.format and suffix not in (*SUFFIXES, *PICTURES):
-            known = " ".join((*SUFFIXES, *PICTURES))
-            raise UserError(self.out, f"no format has the suffix '{suffix}'", f"known are {known}, and --format obj")
+        known = (*SUFFIXES, *PICTURES, ".obj")
+        if suffix not in known:
+            raise UserError(self.out, f"no format has the suffix '{suffix}'", f"known are {' '.join(known)}")
+        if suffix == ".obj" and not self.format and self.seconds is not None:
+            problem = f"is one mesh, and --seconds {self.seconds:g} asks for many"
+            raise UserError(self.out, problem, "leave it out, or name a folder and add --format obj")
         if suffix in SUFFIXES:
             check_suffix(f"x{suffix}")
         if self.format:
@@ -148,9 +154,12 @@ def write_one(path: Path, motions: list["Motion"], body: "Body", suffix: str) ->
     """One file; only a .glb may hold several motions."""
     from refine.formats.files import WRITERS
     from refine.formats.glb import write_glb
+    from refine.formats.obj import write_obj
 
     if suffix == ".glb":
         write_glb(path, motions, body)
+    elif suffix == ".obj":
+        write_obj(path, motions[0], body)
     elif suffix in PICTURES:
         write_picture(path, motions[0], body, suffix)
     else:
@@ -172,23 +181,27 @@ def write_picture(path: Path, motion: "Motion", body: "Body", suffix: str) -> No
     (save_gif if suffix == ".gif" else save_mp4)(path, [picture for [picture] in moments], fps)
 
 
-def write_folder(out: Path, motions: list["Motion"], body: "Body", suffix: str) -> list[str]:
-    """A file for each motion, of .obj a folder; the names, in the order of the motions."""
+def write_folder(out: Path, motions: list["Motion"], body: "Body", suffix: str) -> tuple[Path, ...]:
+    """A file for each motion, of .obj a folder with one for each frame; what was written, in the motions' order.
+
+    The frames of a single motion lie in the folder itself.
+    """
     from refine.cli.inputs import bar
     from refine.formats.obj import write_obj_sequence
     from renderers.outputs import replacing_folder
 
-    names = stems(motions)
-    steps = sum(map(len, motions)) if suffix == ".obj" else len(motions)
+    meshes = suffix == ".obj"
+    names = ["."] if meshes and len(motions) == 1 else [name + suffix * (not meshes) for name in stems(motions)]
+    steps = sum(map(len, motions)) if meshes else len(motions)
     with replacing_folder(out) as partial, bar(steps, "export") as progress:
         for name, motion in zip(names, motions, strict=True):
-            if suffix == ".obj":
-                (partial / name).mkdir()
+            if meshes:
+                (partial / name).mkdir(exist_ok=True)
                 write_obj_sequence(partial / name, motion, body, progress)
             else:
-                write_one(partial / f"{name}{suffix}", [motion], body, suffix)
+                write_one(partial / name, [motion], body, suffix)
                 progress()
-    return [name if suffix == ".obj" else f"{name}{suffix}" for name in names]
+    return tuple(out / name for name in names)
 
 
 def stems(motions: list["Motion"]) -> list[str]:

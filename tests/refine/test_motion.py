@@ -73,6 +73,11 @@ def test_resample_keeps_the_time_line(motion):
     torch.testing.assert_close(half @ half, step, atol=1e-9, rtol=0)
 
 
+def test_resample_to_the_same_rate_changes_nothing(motion):
+    same = resample(motion, 30.0)
+    assert torch.equal(same.root, motion.root) and torch.equal(same.rotations, motion.rotations)
+
+
 def test_resample_down_and_back(motion):
     coarse = resample(motion, 10.0)
     assert len(coarse) == 7

@@ -15,6 +15,7 @@ from refine.cli.main import main
 from refine.formats.files import load_motion, load_motions, save_motion
 from refine.motion import Motion, mirror, resample
 from refine.synthetic import draw, perform
+from renderers.body import Body
 from renderers.rotations import heading
 
 
@@ -105,8 +106,28 @@ def test_several_motions_go_into_a_folder_or_one_glb(export, walk, tmp_path, res
     assert [motion.label for motion in load_motions(tmp_path / "a.glb", rest_joints)] == ["walk", "wave-both-hands"]
     code, _, error = export("-o", str(tmp_path / "a.bvh"), motions=both)
     assert code == 2 and "2 motions do not go into one .bvh file; add --format bvh" in error
-    assert export("-o", str(tmp_path / "o"), "--format", "obj", "--seconds", "0.1")[0] == 0
-    assert len(list((tmp_path / "o" / "walk").glob("frame_*.obj"))) == 3
+
+
+def test_meshes_of_one_motion_lie_in_the_folder_and_of_several_in_folders(export, walk, tmp_path):
+    frames = [f"frame_{frame:05d}.obj" for frame in range(3)]
+    words = ("--format", "obj", "--seconds", "0.1", "--json")
+    code, printed, _ = export("-o", str(tmp_path / "one"), *words)
+    assert code == 0 and json.loads(printed)["files"] == [str(tmp_path / "one")]
+    assert sorted(path.name for path in (tmp_path / "one").iterdir()) == frames
+    code, printed, _ = export("-o", str(tmp_path / "two"), *words, motions=(walk.source, "wave-both-hands"))
+    folders = [tmp_path / "two" / name for name in ("walk", "wave-both-hands")]
+    assert code == 0 and json.loads(printed)["files"] == [str(folder) for folder in folders]
+    for folder in folders:
+        assert sorted(path.name for path in folder.iterdir()) == frames
+
+
+def test_one_mesh_is_that_of_the_moment(export, walk, tmp_path):
+    code, printed, _ = export("-o", str(tmp_path / "a.obj"), "--start", "0.5")
+    assert code == 0 and printed == f"{tmp_path / 'a.obj'}  1 motion, 1 frame at 30 fps\n"
+    rows = [line.split() for line in (tmp_path / "a.obj").read_text().splitlines()]
+    points = np.array([row[1:] for row in rows if row[0] == "v"], dtype=float)
+    posed = Body.free("full")(walk.rotations[15:16], walk.root[15:16]).vertices[0]
+    np.testing.assert_allclose(points, posed, atol=2e-6)
 
 
 def test_names_that_are_alike_are_numbered():
@@ -126,7 +147,7 @@ def test_standard_input_and_output(walk, monkeypatch, capsysbinary):
     ("words", "message"),
     [
         (("-o", "a.xyz"), "no format has the suffix '.xyz'; known are .bvh"),
-        (("-o", "a.obj"), "name a folder and add --format obj"),
+        (("-o", "a.obj", "--seconds", "1"), "is one mesh, and --seconds 1 asks for many; leave it out, or name a"),
         (("-o", "a.bvh", "--seconds", "3"), "has 2 s from 0 s on, 3 s were asked for; ask for at most 2"),
         (("-o", "a.bvh", "--start", "2"), "lasts 2 s, a start at 2 s was asked for"),
         (("-o", "a.bvh", "--start", "-1"), "a start at -1 s was asked for"),

@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from refine.formats.obj import write_obj_sequence
+from refine.formats.obj import write_obj, write_obj_sequence
 from refine.motion import cut
 from refine.synthetic import ACTIONS, draw, perform
 from renderers.checks import UserError
@@ -33,6 +33,13 @@ def test_each_frame_is_the_posed_body(tmp_path, free_body, walk):
         posed = free_body(walk.rotations[frame : frame + 1], walk.root[frame : frame + 1]).vertices[0]
         np.testing.assert_allclose(vertices, posed.numpy(), atol=1e-6)
         np.testing.assert_array_equal(faces, free_body.faces.numpy())
+
+
+def test_one_mesh_is_the_first_frame_s(tmp_path, free_body, walk):
+    write_obj(tmp_path / "a.obj", walk, free_body)
+    vertices, faces = parsed(tmp_path / "a.obj")
+    np.testing.assert_allclose(vertices, free_body(walk.rotations[:1], walk.root[:1]).vertices[0].numpy(), atol=1e-6)
+    np.testing.assert_array_equal(faces, free_body.faces.numpy())
 
 
 def test_faces_look_outwards(tmp_path, free_body, walk):
