@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Any
 
 from refine.formats.clips import load_clips
+from refine.formats.untrusted import MAX_ARRAYS, read_bytes, read_json
 from refine.motion import Motion
 from renderers.checks import UserError, check_known
 
@@ -74,14 +75,16 @@ def load_benchmark(folder: str | Path) -> Benchmark:
     """
     folder = Path(folder)
     path = folder / MANIFEST
+    if not path.exists():
+        raise UserError(folder, "holds no benchmark (no manifest.json)", REMEDY)
     try:
-        manifest = json.loads(path.read_text())
+        manifest = read_json(path)
         if manifest["schema"] != SCHEMA:
             raise UserError(path, f"has schema {manifest['schema']}, not {SCHEMA}", REMEDY)
         sealed = manifest.pop("sha256")
         if sealed != seal(manifest):
             raise UserError(path, "was changed since it was built", REMEDY)
-        files = manifest["files"]
+        hashes = {name: file["sha256"] for name, file in manifest["files"].items()}
         benchmark = Benchmark(
             name=manifest["name"],
             folder=folder,
@@ -92,14 +95,14 @@ def load_benchmark(folder: str | Path) -> Benchmark:
             pairs=tuple((i, j) for i, j in manifest["pairs"]),
             manifest=manifest,
         )
-    except OSError as error:
-        raise UserError(folder, "holds no benchmark (no manifest.json)", REMEDY) from error
-    except (ValueError, KeyError, TypeError, RecursionError) as error:
+    except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
         raise UserError(path, "is not a benchmark's manifest", REMEDY) from error
-    for name in files:
+    for name, sealed in hashes.items():
+        if Path(name).name != name:
+            raise UserError(path, f"names a file outside of its folder ({name[:60]!r})", REMEDY)
         if not (folder / name).is_file():
             raise UserError(folder / name, "is missing", REMEDY)
-        if sha256((folder / name).read_bytes()) != files[name]["sha256"]:
+        if sha256(read_bytes(folder / name, MAX_ARRAYS)) != sealed:
             raise UserError(folder / name, "was changed since the benchmark was built", REMEDY)
     return benchmark
 

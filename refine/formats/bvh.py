@@ -12,7 +12,7 @@ from pathlib import Path
 import torch
 from torch import Tensor
 
-from refine.formats.bvh_parsing import CHANNEL_NAMES, Tree, read_text
+from refine.formats.bvh_parsing import CHANNEL_NAMES, Tree, parse_bvh
 from refine.formats.untrusted import MAX_MOTION_TEXT, START, kind_of_start, opened
 from refine.motion import Motion
 from renderers.checks import UserError, check_shapes
@@ -83,7 +83,7 @@ def read_bvh(path: str | Path, unit: str | None = None) -> Bvh:
     with opened(path, MAX_MOTION_TEXT) as stream:
         if kind_of_start(stream.peek(START)[:START]) != "bvh":
             raise UserError(path, "is not a BVH file: it does not begin with HIERARCHY", "give a BVH file")
-        tree, seconds, read = read_text(path, stream)
+        tree, seconds, read = parse_bvh(path, stream)
     values = torch.from_numpy(read)
     offsets = torch.tensor(tree.offsets, dtype=torch.float64)
     unit = unit or _guess_unit(tree)

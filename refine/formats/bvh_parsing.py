@@ -111,7 +111,7 @@ class Lines:
         return f"{self.path}, line {self.number}"
 
 
-def read_text(path: str | Path, stream: BinaryIO) -> tuple[Tree, float, np.ndarray]:
+def parse_bvh(path: str | Path, stream: BinaryIO) -> tuple[Tree, float, np.ndarray]:
     """The hierarchy, the seconds of a frame, and the values [T columns] as they are on disk.
 
     Raises:

@@ -16,7 +16,7 @@ from numpy.lib import format as npy
 from torch import Tensor
 
 from refine.formats.npz import read_npz
-from refine.formats.untrusted import read_json
+from refine.formats.untrusted import opened, read_json
 from refine.motion import Motion
 from renderers.checks import ShapeError, UserError, check_shapes
 from renderers.outputs import replacing
@@ -205,7 +205,7 @@ def _manifest(folder: Path) -> dict[str, Any]:
 
 
 def _sha256(path: Path) -> str:
-    with path.open("rb") as stream:
+    with opened(path, MAX_BYTES + ABOUT_BYTES) as stream:
         return hashlib.file_digest(stream, "sha256").hexdigest()
 
 

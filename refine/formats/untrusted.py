@@ -131,7 +131,7 @@ def kind_of_start(start: bytes) -> str:
     for magics, kind in ((ZIP_MAGIC, "npz"), (b"\x93NUMPY", "npy"), (b"glTF", "glb"), (PICKLE_STARTS, "pickle")):
         if start.startswith(magics):
             return kind
-    if start[:1] == b"\x80" and start[1:2] in b"\x02\x03\x04\x05":
+    if start[:2] in (b"\x80\x02", b"\x80\x03", b"\x80\x04", b"\x80\x05"):
         return "pickle"
     if start[8:9] == b"{" and start[3:8] == bytes(5):  # the length of its header comes first
         return "safetensors"

@@ -13,7 +13,7 @@ from refine.coupling import couple_features
 from refine.motion import Motion, canonicalise, crop, to_features
 from renderers.checks import UserError
 from renderers.rotations import heading, rotation_about
-from train.benchmarks import Benchmark, load_benchmark
+from train.benchmarks import Benchmark, load_benchmark, seal
 from train.building import Material, build_benchmark
 from train.recipes import product, synth_c
 
@@ -268,11 +268,12 @@ def test_a_changed_manifest_is_named(copied):
 @pytest.mark.parametrize(
     ("text", "said"),
     [
-        ("", "is not a benchmark's manifest"),
+        ("", "is empty"),
         ("[]", "is not a benchmark's manifest"),
         ("{}", "is not a benchmark's manifest"),
         ('{"schema": 99}', "has schema 99, not 1"),
-        ("[" * 100_000, "is not a benchmark's manifest"),
+        ('{"schema": 1, "files": [], "sha256": ""}', "was changed since it was built"),
+        ("[" * 100_000, "is nested too deeply"),
     ],
 )
 def test_another_manifest_is_refused_in_one_line(tmp_path, text, said):
@@ -280,6 +281,16 @@ def test_another_manifest_is_refused_in_one_line(tmp_path, text, said):
     with pytest.raises(UserError, match=said) as caught:
         load_benchmark(tmp_path)
     assert "\n" not in str(caught.value)
+
+
+def test_files_of_other_folders_are_not_read(copied):
+    path = copied / "manifest.json"
+    manifest = json.loads(path.read_text())
+    del manifest["sha256"]
+    manifest["files"]["../private.npz"] = next(iter(manifest["files"].values()))
+    path.write_text(json.dumps(manifest | {"sha256": seal(manifest)}))
+    with pytest.raises(UserError, match=r"names a file outside of its folder \('../private.npz'\)"):
+        load_benchmark(copied)
 
 
 def test_a_folder_without_a_benchmark_is_refused(tmp_path):
