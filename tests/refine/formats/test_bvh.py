@@ -182,7 +182,10 @@ BROKEN = {
     "cut after MOTION": (ARM[: ARM.index("Frames")], "ends before its 'Frames:' line"),
     "cut between frames": (ARM[: ARM.index("0 100 0 20")], "line 19: holds 1 frames, its Frames line claims 2"),
     "cut inside a frame": (ARM[:-10], r"line 20 \(frame 1\): has \d values, the hierarchy has 9 channels"),
-    "too many frames": (ARM + "0 0 0 0 0 0 0 0 0\n", "line 21: holds more frames than the 2 that its Frames line claims"),
+    "too many frames": (
+        ARM + "0 0 0 0 0 0 0 0 0\n",
+        "line 21: holds more frames than the 2 that its Frames line claims",
+    ),
     "no frames": (ARM.replace("Frames: 2", "Frames: 0"), "has 0 frames"),
     "frames in words": (
         ARM.replace("Frames: 2", "Frames: two"),
