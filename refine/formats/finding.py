@@ -47,7 +47,7 @@ def motion_files(folder: str | Path) -> tuple[list[Path], list[UserError]]:
             path = Path(where, name)
             if name.startswith(".") or path.suffix.lower() not in READ_SUFFIXES or _is_other_json(path):
                 continue
-            if path.is_symlink() and not path.resolve().is_relative_to(inside):
+            if path.is_symlink() and not real(path).is_relative_to(inside):
                 refused.append(UserError(path, "is a link that leads out of the folder", "put the file itself there"))
             else:
                 paths.append(path)
@@ -68,6 +68,11 @@ def _is_other_json(path: Path) -> bool:
         return False  # it is refused where it is read
 
 
+def real(path: Path) -> Path:
+    """Where links lead; a link that leads to itself leads to itself."""
+    return Path(os.path.realpath(path))  # Path.resolve raises a RuntimeError there, before Python 3.13
+
+
 def plan(source: Path, labels_file: Path | None = None) -> Plan:
     """What to read of a folder of motion files, a folder of packed clips, or a single file.
 
@@ -79,7 +84,7 @@ def plan(source: Path, labels_file: Path | None = None) -> Plan:
         jobs = [Job(path, path.name, whole=True) for path in found]
     elif source.is_dir():
         found, refused = motion_files(source)
-        jobs = [Job(path.resolve() if path.is_symlink() else path, _name(path, source)) for path in found]
+        jobs = [Job(real(path) if path.is_symlink() else path, _name(path, source)) for path in found]
     elif source.exists():
         refused, jobs = [], [Job(source, source.name, whole=True)]
     else:
