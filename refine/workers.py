@@ -3,11 +3,12 @@
 import os
 import signal
 import sys
+import threading
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import dataclass
-from multiprocessing import get_context
+from multiprocessing import get_context, resource_tracker
 from multiprocessing.connection import Connection, wait
 from typing import Any
 
@@ -127,15 +128,25 @@ def _team(function: Callable[[Any], Any], size: int) -> Iterator[_Team]:
 
 @contextmanager
 def _interrupts_held() -> Iterator[None]:
-    """A process that is started in this block never sees Ctrl-C; this one sees it after the block."""
-    if not hasattr(signal, "pthread_sigmask"):
+    """A process that is started in this block never sees Ctrl-C; this one sees it after the block.
+
+    To block the signal is for the child, which inherits that. It does not keep it from this process: another thread may
+    take it, and Python then runs the handler here all the same.
+    """
+    if not hasattr(signal, "pthread_sigmask") or threading.current_thread() is not threading.main_thread():
         yield
         return
+    resource_tracker.ensure_running()  # or the first process to start would start it, which unblocks the signal
+    pressed: list[Any] = []
+    handler = signal.signal(signal.SIGINT, lambda *event: pressed.append(event))
     before = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         yield
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, before)
+        signal.signal(signal.SIGINT, handler)
+        if pressed and callable(handler):
+            handler(*pressed[0])
 
 
 def _serve(pipe: Connection, function: Callable[[Any], Any]):
