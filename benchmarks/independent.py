@@ -2,9 +2,9 @@
 
     python benchmarks/independent.py --real DIR_WITH_BVH
 
-The commands that a person would type are run; then bvhio reads the BVH, and Blender the GLB, the BVH and, if it can
-write one, the FBX. A Python that has bvhio is named by JUDGES_PYTHON, one that has Blender's module by BPY_PYTHON. The
-table goes beside the JSON, as Markdown.
+The commands that a person would type are run; then bvhio reads the BVH, trimesh the GLB, and Blender the GLB, the BVH
+and the FBX that it wrote. A Python that has bvhio and trimesh is named by JUDGES_PYTHON, one that has Blender's module
+by BPY_PYTHON. The table goes beside the JSON, as Markdown.
 """
 
 import argparse
@@ -14,6 +14,7 @@ import shlex
 import subprocess
 import sys
 import tempfile
+from dataclasses import dataclass
 from pathlib import Path
 
 import torch
@@ -29,18 +30,6 @@ RESULTS = Path(__file__).parent / "results"
 JUDGES = Path(__file__).resolve().parents[1] / "tests" / "refine" / "formats" / "judges"
 CLIPS = ("dataset-2_walk_normal_004.bvh", "dataset-2_wave-both-hands_normal_001.bvh")
 FRAMES = 8
-BVH_JOINTS = """
-import json, sys, bpy
-bpy.ops.wm.read_factory_settings(use_empty=True)
-bpy.ops.import_anim.bvh(filepath=sys.argv[1], axis_forward="-Z", axis_up="Y", rotate_mode="NATIVE", global_scale=0.01)
-(armature,) = (thing for thing in bpy.data.objects if thing.type == "ARMATURE")
-first, found = round(armature.animation_data.action.frame_range[0]), []
-for frame in map(int, sys.argv[2:]):
-    bpy.context.scene.frame_set(first + frame)
-    heads = {bone.name: armature.matrix_world @ bone.head for bone in armature.pose.bones}
-    found.append({name: [x, z, -y] for name, (x, y, z) in heads.items()})
-print("FOUND " + json.dumps({"joints": found}))
-"""
 
 
 def said(*command: str | Path) -> str:
@@ -61,16 +50,28 @@ def refine(*words: str | Path) -> str:
     return shlex.join(["refine", *(Path(word).name if isinstance(word, Path) else word for word in words)])
 
 
-def readers(blender: str, judges: str) -> dict[str, tuple[str, list[str | Path], float]]:
-    """By what they are called: the file's suffix, the command without file and frames, metres a unit."""
-    found: dict[str, tuple[str, list[str | Path], float]] = {}
-    if judges:
-        found["bvhio"] = (".bvh", [judges, JUDGES / "bvhio_joints.py"], 0.01)
-    if blender:
-        found["Blender, GLB"] = (".glb", [blender, JUDGES / "blender_joints.py"], 1.0)
-        found["Blender, FBX"] = (".fbx", [blender, JUDGES / "blender_joints.py"], 1.0)
-        found["Blender, BVH"] = (".bvh", [blender, "-c", BVH_JOINTS], 1.0)
-    return found
+@dataclass(frozen=True)
+class Reader:
+    """A program that says where the joints are: ``python script FILE [rate] TIMES``."""
+
+    suffix: str
+    python: str
+    script: str
+    unit: float = 1.0  # metres a unit
+    rate: bool = False  # it wants to be told
+    seconds: bool = False  # times are seconds, and not frames
+
+
+def readers(blender: str, judges: str) -> dict[str, Reader]:
+    """By what they are called; those that are there."""
+    found = {
+        "bvhio": Reader(".bvh", judges, "bvhio_joints.py", unit=0.01),
+        "trimesh": Reader(".glb", judges, "trimesh_joints.py", seconds=True),
+        "Blender, BVH": Reader(".bvh", blender, "blender_bvh_joints.py"),
+        "Blender, GLB": Reader(".glb", blender, "blender_joints.py", rate=True),
+        "Blender, FBX": Reader(".fbx", blender, "blender_joints.py", rate=True),
+    }
+    return {name: reader for name, reader in found.items() if reader.python}
 
 
 def largest_error(printed: str, motion: Motion, body: Body, frames: list[int], unit: float) -> float:
@@ -96,10 +97,12 @@ def main() -> int:
         suffixes = (".glb", ".fbx") if blender else (".glb",)
         typed += [refine("export", both, "-o", both.with_suffix(suffix)) for suffix in suffixes]
         frames = torch.linspace(0, len(motion) - 1, FRAMES).round().long().tolist()
-        for name, (suffix, command, unit) in readers(blender, judges).items():
-            extra = [repr(motion.fps)] if suffix in (".glb", ".fbx") else []
-            printed = said(*command, both.with_suffix(suffix), *extra, *map(str, frames))
-            rows[name] = {"file": suffix, "largest_mm": 1e3 * largest_error(printed, motion, body, frames, unit)}
+        for name, reader in readers(blender, judges).items():
+            times = [frame / motion.fps for frame in frames] if reader.seconds else frames
+            words = map(repr, [motion.fps, *times] if reader.rate else times)
+            printed = said(reader.python, JUDGES / reader.script, both.with_suffix(reader.suffix), *words)
+            largest = largest_error(printed, motion, body, frames, reader.unit)
+            rows[name] = {"file": reader.suffix, "largest_mm": 1e3 * largest}
     found = {
         "command": shlex.join(["python", "benchmarks/independent.py", *sys.argv[1:]]),
         "commit": commit(),
