@@ -83,7 +83,6 @@ def pack_motion(packer: Packer, motion: Motion, rest_joints: Tensor) -> dict[str
     speeds = part_speeds(motion, rest_joints)
     return {
         "label": motion.label,
-        "source": motion.source,
         "fps": motion.fps,
         "frames": len(motion),
         "seconds": (len(motion) - 1) / motion.fps,

@@ -27,7 +27,7 @@ from renderers.body import Body
 from renderers.checks import UserError
 from renderers.images import contact_sheet
 
-SCRIPTS = ("algebra.js", "motion.js", "shaders.js", "renderer.js", "orbit.js", "cards.js", "viewer.js")
+SCRIPTS = ("algebra", "motion", "shaders", "renderer", "orbit", "cards", "painting", "controls", "viewer")
 MOST = 9  # motions, one a digit
 LONGEST = 200_000  # frames of all motions: 40 MB
 POSES, HEIGHT = 8, 220  # of the poster
@@ -158,7 +158,7 @@ def poster(motions: Sequence[Motion], body: Body) -> Tensor:
 @cache
 def code() -> tuple[str, str]:
     """The page's script, in a function of its own, and its style."""
-    script = "".join(asset(name) for name in SCRIPTS)
+    script = "".join(asset(f"{name}.js") for name in SCRIPTS)
     return f'"use strict";\n(() => {{\n{script}}})();\n', asset("viewer.css")
 
 

@@ -40,12 +40,30 @@ class LoopCard {
   constructor(card, looking, clips, go) {
     Object.assign(this, { card, looking, clips, made: looking.made.length - 1, view: 0, moment: -1 });
     const choices = element("div", { class: "choices" });
-    const again = () => { this.moment = -1; go(); };
+    const again = () => {
+      this.moment = -1;
+      go();
+    };
     if (looking.made.length > 1)
-      choices.append(choice("Composition", looking.made.map((made) => made.name), this.made, (k) => { this.made = k; again(); }));
+      choices.append(
+        choice(
+          "Composition",
+          looking.made.map((made) => made.name),
+          this.made,
+          (k) => {
+            this.made = k;
+            again();
+          },
+        ),
+      );
     if (looking.made[0].views > 1) {
       const names = Array.from({ length: looking.made[0].views }, (_, k) => `view ${k + 1}`);
-      choices.append(choice("View", names, 0, (k) => { this.view = k; again(); }));
+      choices.append(
+        choice("View", names, 0, (k) => {
+          this.view = k;
+          again();
+        }),
+      );
     }
     card.querySelector("header").append(choices);
     this.rows = [0, 1].map((side) => this.row(side));
@@ -58,7 +76,17 @@ class LoopCard {
       return { stage, picture, figure: element("figure", {}, picture, element("figcaption", {}, stage)) };
     });
     const title = element("p", { class: "row-title" });
-    return { side, cells, title, figure: element("div", { class: "row" }, title, element("div", { class: "cells" }, ...cells.map((cell) => cell.figure))) };
+    return {
+      side,
+      cells,
+      title,
+      figure: element(
+        "div",
+        { class: "row" },
+        title,
+        element("div", { class: "cells" }, ...cells.map((cell) => cell.figure)),
+      ),
+    };
   }
 
   get current() {
@@ -81,9 +109,12 @@ class LoopCard {
     const { sheets, loss, answers } = this.current;
     const last = (count) => Math.max(1, count - 1);
     for (const { side, cells, title } of this.rows) {
-      const label = this.clips[side].label || this.clips[side].role;
+      const label = this.clips[side].name;
       const value = figures(loss[side][moments[moment]]);
-      title.replaceChildren(element("strong", {}, label), ` ${answers[side]}${answers[side] ? " · " : ""}loss ${value}`);
+      title.replaceChildren(
+        element("strong", {}, label),
+        ` ${answers[side]}${answers[side] ? " · " : ""}loss ${value}`,
+      );
       cells.forEach(({ stage, picture }, row) => {
         picture.style.backgroundImage = `url("${sheets[side][this.view]}")`;
         picture.style.backgroundSize = `${100 * moments.length}% ${100 * stages.length}%`;
@@ -98,16 +129,20 @@ class LoopCard {
 class SpeedsCard {
   constructor(card, clips, parts) {
     this.clips = clips;
-    this.greatest = Math.max(0.05, ...clips.flatMap((clip) => [...clip.speeds]));
-    const head = element("tr", {}, element("td"), ...clips.map((clip) => element("th", { scope: "col" }, clip.label || clip.role)));
-    this.cells = parts.map((part, row) => clips.map((clip) => {
-      const bar = element("span", { class: `bar ${part}` });
-      const mean = element("span", { class: "mean" });
-      mean.style.left = `${(100 * clip.speed[row]) / this.greatest}%`;
-      const number = element("span", { class: "number" });
-      return { bar, number, cell: element("td", {}, element("span", { class: "track" }, bar, mean), number) };
-    }));
-    const rows = parts.map((part, row) => element("tr", {}, element("th", { scope: "row" }, spoken(part)), ...this.cells[row].map((made) => made.cell)));
+    this.greatest = Math.max(0.05, ...clips.map((clip) => greatestOf(clip.speeds)));
+    const head = element("tr", {}, element("td"), ...clips.map((clip) => element("th", { scope: "col" }, clip.name)));
+    this.cells = parts.map((part, row) =>
+      clips.map((clip) => {
+        const bar = element("span", { class: `bar ${part}` });
+        const mean = element("span", { class: "mean" });
+        mean.style.left = `${(100 * clip.speed[row]) / this.greatest}%`;
+        const number = element("span", { class: "number" });
+        return { bar, number, cell: element("td", {}, element("span", { class: "track" }, bar, mean), number) };
+      }),
+    );
+    const rows = parts.map((part, row) =>
+      element("tr", {}, element("th", { scope: "row" }, spoken(part)), ...this.cells[row].map((made) => made.cell)),
+    );
     card.querySelector("table").append(element("thead", {}, head), element("tbody", {}, ...rows));
     card.querySelector("table").style.setProperty("--columns", clips.length);
     this.told = -Infinity;
@@ -116,11 +151,13 @@ class SpeedsCard {
   update(seconds, now) {
     const tell = now - this.told > 120;
     if (tell) this.told = now;
-    this.clips.forEach((clip, column) => clip.speedsAt(seconds).forEach((speed, row) => {
-      const { bar, number } = this.cells[row][column];
-      bar.style.transform = `scaleX(${speed / this.greatest})`;
-      if (tell) number.textContent = speed.toFixed(2);
-    }));
+    this.clips.forEach((clip, column) =>
+      clip.speedsAt(seconds).forEach((speed, row) => {
+        const { bar, number } = this.cells[row][column];
+        bar.style.transform = `scaleX(${speed / this.greatest})`;
+        if (tell) number.textContent = speed.toFixed(2);
+      }),
+    );
     return !tell;
   }
 }
@@ -138,20 +175,31 @@ class LossCard {
     const [width, height, left, right, top, bottom] = [640, 300, 54, 8, 12, 28];
     const x = (step) => left + ((width - left - right) * step) / Math.max(1, steps - 1);
     const y = (value) => top + ((height - top - bottom) * (high - Math.log10(value))) / (high - low);
-    const svg = drawn("svg", { viewBox: `0 0 ${width} ${height}`, role: "img", "aria-label": `Loss terms over ${steps} steps` });
+    const svg = drawn("svg", {
+      viewBox: `0 0 ${width} ${height}`,
+      role: "img",
+      "aria-label": `Loss terms over ${steps} steps`,
+    });
     const every = Math.ceil((high - low) / 5);
     for (let power = low; power <= high; power += every) {
       svg.append(drawn("line", { class: "rule", x1: left, x2: width - right, y1: y(10 ** power), y2: y(10 ** power) }));
-      svg.append(drawn("text", { x: left - 8, y: y(10 ** power) + 4, "text-anchor": "end" }, `10${superscript(power)}`));
+      svg.append(
+        drawn("text", { x: left - 8, y: y(10 ** power) + 4, "text-anchor": "end" }, `10${superscript(power)}`),
+      );
     }
     for (let k = 0; k <= 4; k++) {
       const step = Math.round(((steps - 1) * k) / 4);
-      svg.append(drawn("text", { x: x(step), y: height - 8, "text-anchor": k === 4 ? "end" : k ? "middle" : "start" }, step + 1));
+      svg.append(
+        drawn("text", { x: x(step), y: height - 8, "text-anchor": k === 4 ? "end" : k ? "middle" : "start" }, step + 1),
+      );
     }
     names.forEach((name, k) => {
       let pen = "M";
       const path = terms[name].map((value, step) => {
-        if (!shown(value)) { pen = "M"; return ""; }
+        if (!shown(value)) {
+          pen = "M";
+          return "";
+        }
         const point = `${pen}${x(step).toFixed(1)} ${y(value).toFixed(1)}`;
         pen = "L";
         return point;
@@ -163,16 +211,22 @@ class LossCard {
     const cursor = drawn("line", { class: "cursor", y1: top, y2: height - bottom, opacity: 0 });
     svg.append(cursor);
     const values = names.map(() => element("b"));
-    const legend = element("ul", { class: "legend" }, ...names.map((name, k) => {
-      const swatch = element("i");
-      swatch.style.background = LINES[k % LINES.length];
-      return element("li", {}, swatch, name, " ", values[k]);
-    }));
+    const legend = element(
+      "ul",
+      { class: "legend" },
+      ...names.map((name, k) => {
+        const swatch = element("i");
+        swatch.style.background = LINES[k % LINES.length];
+        return element("li", {}, swatch, name, " ", values[k]);
+      }),
+    );
     const step = element("span", { class: "at" });
     card.querySelector("header").append(step);
     const tell = (at) => {
       step.textContent = `step ${at + 1} of ${steps}`;
-      names.forEach((name, k) => { values[k].textContent = terms[name][at] == null ? "–" : figures(terms[name][at]); });
+      names.forEach((name, k) => {
+        values[k].textContent = terms[name][at] == null ? "–" : figures(terms[name][at]);
+      });
     };
     tell(steps - 1);
     svg.addEventListener("pointermove", (event) => {
@@ -199,10 +253,12 @@ const plainly = (value) => value.toFixed(clamp(2 - Math.floor(Math.log10(Math.ab
 function numbersTable(table, clips) {
   const units = [...new Set(clips.flatMap((clip) => Object.keys(clip.numbers)))];
   const names = [["frames"], ["fps"], ["seconds"], ...units.map((name) => name.split(", "))];
-  const heads = names.map(([name, unit]) => element("th", { scope: "col" }, name, ...(unit ? [" ", element("small", {}, unit)] : [])));
+  const heads = names.map(([name, unit]) =>
+    element("th", { scope: "col" }, name, ...(unit ? [" ", element("small", {}, unit)] : [])),
+  );
   const rows = clips.map((clip) => {
     const further = units.map((name) => (name in clip.numbers ? plainly(clip.numbers[name]) : ""));
-    const name = element("th", { scope: "row" }, clip.label || clip.role);
+    const name = element("th", { scope: "row" }, clip.name);
     if (clip.role && clip.label) name.append(" ", element("small", {}, clip.role));
     const values = [clip.frames, +clip.fps.toFixed(3), clip.seconds.toFixed(2), ...further];
     return element("tr", {}, name, ...values.map((value) => element("td", {}, String(value))));

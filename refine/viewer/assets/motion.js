@@ -7,7 +7,12 @@ function unpacker(base64) {
   const text = atob(base64);
   const bytes = new Uint8Array(text.length);
   for (let k = 0; k < text.length; k++) bytes[k] = text.charCodeAt(k);
-  return ({ at, type, shape }) => new TYPES[type](bytes.buffer, at, shape.reduce((a, b) => a * b, 1));
+  return ({ at, type, shape }) =>
+    new TYPES[type](
+      bytes.buffer,
+      at,
+      shape.reduce((a, b) => a * b, 1),
+    );
 }
 
 class Skeleton {
@@ -23,8 +28,9 @@ class Skeleton {
 
 class Clip {
   constructor(entry, array, skeleton, index) {
-    Object.assign(this, { index, skeleton, label: entry.label, role: entry.role, source: entry.source });
+    Object.assign(this, { index, skeleton, label: entry.label, role: entry.role });
     Object.assign(this, { fps: entry.fps, frames: entry.frames, seconds: entry.seconds, numbers: entry.numbers });
+    this.name = this.label || this.role || `motion ${index + 1}`;
     this.quaternions = array(entry.quaternions);
     this.root = array(entry.root);
     this.speeds = array(entry.speeds);
@@ -95,9 +101,15 @@ class Clip {
     for (let joint = 0; joint < count; joint++) {
       const [w, x, y, z] = q.subarray(4 * joint, 4 * joint + 4);
       const local = [
-        1 - 2 * (y * y + z * z), 2 * (x * y - w * z), 2 * (x * z + w * y),
-        2 * (x * y + w * z), 1 - 2 * (x * x + z * z), 2 * (y * z - w * x),
-        2 * (x * z - w * y), 2 * (y * z + w * x), 1 - 2 * (x * x + y * y),
+        1 - 2 * (y * y + z * z),
+        2 * (x * y - w * z),
+        2 * (x * z + w * y),
+        2 * (x * y + w * z),
+        1 - 2 * (x * x + z * z),
+        2 * (y * z - w * x),
+        2 * (x * z - w * y),
+        2 * (y * z + w * x),
+        1 - 2 * (x * x + y * y),
       ];
       const up = parents[joint];
       for (let row = 0; row < 3; row++) {

@@ -18,11 +18,15 @@ class Orbit {
       canvas.addEventListener(name, (event) => this.fingers.delete(event.pointerId));
     canvas.addEventListener("contextmenu", (event) => event.preventDefault());
     // The wheel scrolls the page until the stage was chosen; pinching a touchpad comes as a wheel with ctrl.
-    canvas.addEventListener("wheel", (event) => {
-      if (!event.ctrlKey && document.activeElement !== canvas) return;
-      event.preventDefault();
-      this.magnify(Math.exp(clamp(event.deltaY, -60, 60) * (event.ctrlKey ? -0.012 : -0.004)));
-    }, { passive: false });
+    canvas.addEventListener(
+      "wheel",
+      (event) => {
+        if (!event.ctrlKey && document.activeElement !== canvas) return;
+        event.preventDefault();
+        this.magnify(Math.exp(clamp(event.deltaY, -60, 60) * (event.ctrlKey ? -0.012 : -0.004)));
+      },
+      { passive: false },
+    );
   }
 
   reset() {

@@ -5,14 +5,32 @@ const SHADOW_SIZE = 1024;
 const SHADOW_HALF = 1.7; // metres about the pelvis that cast shadows
 const SCENES = {
   light: {
-    inner: [0.992, 0.988, 0.976], outer: [0.914, 0.902, 0.875], floor: [0.957, 0.949, 0.929], line: [0.72, 0.7, 0.66],
-    shade: [0.42, 0.41, 0.43], shadow: 0.62, sky: [0.62, 0.64, 0.68], ground: [0.34, 0.31, 0.29], strength: 0.78,
-    rim: 0.16, plain: [0.83, 0.8, 0.75], ink: [0.17, 0.18, 0.26],
+    inner: [0.992, 0.988, 0.976],
+    outer: [0.914, 0.902, 0.875],
+    floor: [0.957, 0.949, 0.929],
+    line: [0.72, 0.7, 0.66],
+    shade: [0.42, 0.41, 0.43],
+    shadow: 0.62,
+    sky: [0.62, 0.64, 0.68],
+    ground: [0.34, 0.31, 0.29],
+    strength: 0.78,
+    rim: 0.16,
+    plain: [0.83, 0.8, 0.75],
+    ink: [0.17, 0.18, 0.26],
   },
   dark: {
-    inner: [0.165, 0.172, 0.2], outer: [0.071, 0.075, 0.09], floor: [0.15, 0.157, 0.184], line: [0.36, 0.37, 0.42],
-    shade: [0.02, 0.02, 0.03], shadow: 0.72, sky: [0.42, 0.45, 0.53], ground: [0.16, 0.15, 0.16], strength: 0.72,
-    rim: 0.3, plain: [0.78, 0.76, 0.73], ink: [0.93, 0.93, 0.9],
+    inner: [0.165, 0.172, 0.2],
+    outer: [0.071, 0.075, 0.09],
+    floor: [0.15, 0.157, 0.184],
+    line: [0.36, 0.37, 0.42],
+    shade: [0.02, 0.02, 0.03],
+    shadow: 0.72,
+    sky: [0.42, 0.45, 0.53],
+    ground: [0.16, 0.15, 0.16],
+    strength: 0.72,
+    rim: 0.3,
+    plain: [0.78, 0.76, 0.73],
+    ink: [0.93, 0.93, 0.9],
   },
 };
 
@@ -40,7 +58,10 @@ class Renderer {
   program(vertex, fragment) {
     const { gl } = this;
     const program = gl.createProgram();
-    for (const [kind, source] of [[gl.VERTEX_SHADER, vertex], [gl.FRAGMENT_SHADER, fragment]]) {
+    for (const [kind, source] of [
+      [gl.VERTEX_SHADER, vertex],
+      [gl.FRAGMENT_SHADER, fragment],
+    ]) {
       const shader = gl.createShader(kind);
       gl.shaderSource(shader, source);
       gl.compileShader(shader);
@@ -172,9 +193,9 @@ class Renderer {
     return light;
   }
 
-  // One panel: `box` (x, y, width, height) in pixels from the lower left; `actors` have bones and tints; what is drawn
-  // over them is in `lines`, what stands behind glass in `pictures`.
-  draw({ box, eye, camera, centre, actors, lines, pictures, seeThrough }, scene) {
+  // One panel: `box` (x, y, width, height) in pixels from the lower left; `actors` have bones, joints and tints; lines
+  // lie under, among and over them, and `pictures` stand in the world.
+  draw({ box, eye, camera, centre, actors, under, among, over, pictures, seeThrough }, scene) {
     const { gl } = this;
     const light = this.castShadows(actors, centre);
     gl.viewport(...box);
@@ -194,7 +215,7 @@ class Renderer {
     const floor = { camera, light, centre, below, reach: 7, base: scene.floor, line: scene.line, shade: scene.shade };
     this.use(this.floor, { ...floor, shadow: scene.shadow });
     gl.drawArrays(gl.TRIANGLE_STRIP, 0, 4);
-    this.drawLines(lines.under, camera, box);
+    this.drawLines(under, camera, box);
     gl.enable(gl.DEPTH_TEST);
     gl.enable(gl.CULL_FACE);
 
@@ -216,9 +237,9 @@ class Renderer {
     gl.disable(gl.CULL_FACE);
     for (const one of pictures) this.drawPicture(one, camera);
     gl.depthMask(false);
-    this.drawLines(lines.among, camera, box);
+    this.drawLines(among, camera, box);
     gl.disable(gl.DEPTH_TEST);
-    this.drawLines(lines.over, camera, box);
+    this.drawLines(over, camera, box);
     gl.depthMask(true);
     gl.disable(gl.BLEND);
   }
@@ -277,7 +298,8 @@ function normalsOf(positions, faces) {
   for (let face = 0; face < faces.length; face += 3) {
     const [a, b, c] = [corner(face, 0), corner(face, 1), corner(face, 2)];
     const normal = cross(subtract(b, a), subtract(c, a));
-    for (let k = 0; k < 3; k++) for (let axis = 0; axis < 3; axis++) normals[3 * faces[face + k] + axis] += normal[axis];
+    for (let k = 0; k < 3; k++)
+      for (let axis = 0; axis < 3; axis++) normals[3 * faces[face + k] + axis] += normal[axis];
   }
   for (let at = 0; at < normals.length; at += 3) normals.set(normalised(normals.subarray(at, at + 3)), at);
   return normals;

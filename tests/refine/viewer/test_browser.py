@@ -133,16 +133,40 @@ def test_keys(opened, motions):
         changed = stage(browser)
         assert differing(plain, changed) > 300, key
         plain = changed
-    assert browser.run("return document.querySelectorAll('#names button').length") == 1
+    named = "return document.querySelectorAll('#names button').length === arguments[0]"
+    browser.wait(named, 1)
     browser.keys("\ue014")  # now in frames of the motion that is shown alone
     assert browser.run("return refine.seconds * 12") == pytest.approx(7)
     browser.keys("0")
-    assert browser.run("return document.querySelectorAll('#names button').length") == 2
+    browser.wait(named, 2)
     browser.keys("h")
     assert browser.run("return document.getElementById('help').open")
     browser.keys(ESCAPE)
     assert not browser.run("return document.getElementById('help').open")
     assert browser.logs("browser") == []
+    browser.open("about:blank")
+
+
+def test_keys_work_what_was_reached_by_keys_and_the_player_otherwise(opened):
+    browser = opened()
+    browser.run("document.querySelector('input[value=plain]').click()")
+    browser.keys("\ue014")
+    assert browser.run("return refine.seconds") == pytest.approx(16 / 30)
+    browser.run("document.querySelector('input[value=plain]').focus({ focusVisible: true })")
+    browser.keys("\ue012")
+    assert browser.run("return document.querySelector('input[name=colours]:checked').value") == "motion"
+    assert browser.run("return refine.seconds") == pytest.approx(16 / 30)
+    browser.run("document.getElementById('on').focus({ focusVisible: true })")
+    browser.keys(" ")
+    assert browser.run("return [refine.playing, refine.seconds]") == [False, pytest.approx(17 / 30)]
+    browser.run("document.getElementById('scrubber').focus({ focusVisible: true })")
+    browser.keys("\ue014", "\ue011")  # right, home
+    assert browser.run("return refine.seconds") == 0
+    browser.run("scrollTo(0, 0); document.getElementById('canvas').focus({ preventScroll: true })")
+    before = stage(browser)
+    browser.keys("\ue013", "\ue013")  # up: nearer
+    assert differing(before, stage(browser)) > 300
+    assert browser.run("return scrollY") == 0
     browser.open("about:blank")
 
 
@@ -232,6 +256,18 @@ def test_a_composition_shows_what_the_loop_saw(opened, small_composition, free_b
     without = stage(browser)
     browser.keys("v")
     assert differing(without, stage(browser)) > 1000
+    assert browser.logs("browser") == []
+
+
+def test_nine_motions_and_a_single_frame(opened, motions, free_body, tmp_path):
+    path = tmp_path / "nine.html"
+    still = replace(motions[0], rotations=motions[0].rotations[:1], root=motions[0].root[:1], label="")
+    path.write_text(page([still] * 9, free_body), encoding="utf-8")
+    browser = opened(path)
+    assert browser.run("return [refine.playing, refine.seconds]") == [False, 0]
+    assert browser.run("return document.querySelectorAll('#names button').length") == 9
+    assert "motion 9" in browser.run("return document.getElementById('names').textContent")
+    assert len(np.unique(stage(browser).reshape(-1, 3), axis=0)) > 300
     assert browser.logs("browser") == []
 
 
