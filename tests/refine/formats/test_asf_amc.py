@@ -184,6 +184,10 @@ def test_the_skeleton_is_found(tmp_path, rest_joints):
     figure = Figure(rest_joints)
     path = figure.write(tmp_path, "07_11", "07")
     assert asf_beside(path).name == "07.asf"
+    assert asf_beside(tmp_path / "my_dancer_02.amc").name == "07.asf"  # the only one
+    (tmp_path / "my_dancer.asf").write_text("x")
+    assert asf_beside(tmp_path / "my_dancer_02.amc").name == "my_dancer.asf"
+    (tmp_path / "my_dancer.asf").unlink()
     (tmp_path / "08.asf").write_text("x")
     (tmp_path / "07_11.ASF").write_text("x")
     assert asf_beside(path).name == "07_11.ASF"
