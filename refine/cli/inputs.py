@@ -11,8 +11,8 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 from typing import TYPE_CHECKING
 
-from refine.cli.results import STDOUT, is_stdout, printable
-from renderers.checks import UserError, check_known
+from refine.cli.results import STDOUT, is_stdout
+from renderers.checks import UserError, check_known, printable
 
 if TYPE_CHECKING:
     from torch import Tensor

@@ -27,11 +27,11 @@ from refine.cli.grammar import grammar
 from refine.cli.inspect import Inspect
 from refine.cli.inspect_data import InspectData
 from refine.cli.render import Render
-from refine.cli.results import Output, Result, hushed, printable, show
+from refine.cli.results import Output, Result, hushed, show
 from refine.cli.train import TrainGenerator, TrainMAE
 from refine.cli.train_recogniser import TrainRecogniser
 from refine.cli.view import View
-from renderers.checks import UserError
+from renderers.checks import UserError, printable
 
 DESCRIPTION = "Compose two human actions into one motion and refine it with a differentiable renderer in the loop."
 EXIT_CODES = """\

@@ -13,6 +13,8 @@ from typing import Annotated, Any
 
 from tyro.conf import arg
 
+from renderers.checks import printable
+
 ANSI = {"green": 32, "yellow": 33, "red": 31}
 STDOUT = "-"  # in place of an output's name; "-.npz" is standard output in that format
 
@@ -72,20 +74,6 @@ def hushed(quiet: bool) -> Iterator[None]:
         return
     with redirect_stderr(StringIO()):
         yield
-
-
-def printable(line: str) -> str:
-    r"""A line in which nothing steers the terminal: labels and names come from other people's files.
-
-    Control characters, and those that turn the direction of writing or take no room, are written as in Python.
-
-    >>> printable("walk\x1b[31m\r")
-    'walk\\x1b[31m\\r'
-    """
-    return "".join(
-        character if character.isprintable() or character in "\t " else character.encode("unicode_escape").decode()
-        for character in line.encode("utf-8", "backslashreplace").decode()
-    )
 
 
 def _coloured(line: str, colours: dict[str, str]) -> str:

@@ -7,8 +7,9 @@ from pathlib import Path
 
 import pytest
 
-from refine.cli.main import main
-from refine.cli.results import Output, Result, hushed, is_stdout, printable, show
+from refine.cli.main import fail, main
+from refine.cli.results import Output, Result, hushed, is_stdout, show
+from renderers.checks import printable
 
 RESULT = Result("ok fine\nbroken\x1b[2J label", (Path("a.bvh"), Path("b")), {"loss": float("nan"), "of": Path("c")})
 
@@ -114,6 +115,22 @@ def test_a_quiet_verb_says_nothing_but_errors(tmp_path, capsys):
     assert capsys.readouterr() == ("", "")
     assert main([*COUPLE, "-o", str(tmp_path / "a.bvh"), "--quiet"]) == 2
     assert "is already there" in capsys.readouterr().err
+
+
+def test_a_quiet_verb_leaves_its_notes_out(tmp_path, capsys):
+    for name, fps in (("walk", "30"), ("squat", "20")):
+        assert main(["export", name, "-o", str(tmp_path / f"{name}.npz"), "--seconds", "1", "--fps", fps]) == 0
+    capsys.readouterr()
+    couple = ["compose", str(tmp_path / "walk.npz"), str(tmp_path / "squat.npz"), "--steps", "0", "--force"]
+    assert main([*couple, "-o", str(tmp_path / "a.bvh")]) == 0
+    assert "resampled" in capsys.readouterr().err
+    assert main([*couple, "-o", str(tmp_path / "a.bvh"), "--quiet"]) == 0
+    assert capsys.readouterr() == ("", "")
+
+
+def test_what_the_system_says_of_a_file_cannot_steer_the_terminal(capsys):
+    assert fail("a\x1b[2J\nb", 2) == 2
+    assert capsys.readouterr().err == "refine: a\\x1b[2J b\n"
 
 
 def test_a_name_from_a_file_cannot_steer_the_terminal(tmp_path, capsys):
