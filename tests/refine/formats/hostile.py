@@ -15,7 +15,7 @@ import sys
 import tempfile
 import time
 import warnings
-from collections.abc import Callable
+from collections.abc import Callable, Iterable
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -40,7 +40,7 @@ prints this page. The tests hold every one of them to a refusal in one line, in 
 less than 200 MB of memory. A file that is honest but large takes as long as it takes to read what is before the fault.
 """
 READERS = ("motion", "body", "weights", "labels", "mapping", "json")
-SECONDS, MEGABYTES = 10, 4000  # at which a reader is stopped
+SECONDS = 10  # at which a reader is stopped
 
 
 def readers() -> dict[str, Callable[[Path], object]]:
@@ -58,68 +58,87 @@ def readers() -> dict[str, Callable[[Path], object]]:
     return dict(zip(READERS, given, strict=True))
 
 
-def outcome(case: "Case", read: Callable[[Path], object]) -> dict:
-    """Read a file in a process of its own, in an empty folder beside it.
+def outcomes(cases: "Iterable[Case]", read: Callable[["Case", Path], object]) -> dict[str, dict]:
+    """What becomes of files that are read in a process of their own; if it dies, another goes on with the next.
 
-    Returns:
+    Returns by name:
         error: the kind of what was raised, "" if nothing was, or "died".
-        answer: its message, without the folder.
+        answer: its message, without the folder. file: the name of the file.
         seconds: of the processor. megabytes: beyond those of before.
-        written: the names of files that were not there before.
+        written: the names of files that were not there before; the process was in an empty folder.
     """
-    with tempfile.TemporaryDirectory() as name:
-        folder, empty = Path(name) / "files", Path(name) / "empty"
-        folder.mkdir()
-        empty.mkdir()
-        path = case.make(folder)
-        before = listing(Path(name))
-        reading, writing = os.pipe()
-        child = os.fork()
-        if child == 0:
-            os.close(reading)
-            os.chdir(empty)
-            with os.fdopen(writing, "w") as pipe:
-                json.dump(read_here(path, read), pipe)
-            os._exit(0)
-        os.close(writing)
-        with os.fdopen(reading) as pipe:
-            told = pipe.read()
-        _, status = os.waitpid(child, 0)
-        found = json.loads(told) if told else {"error": "died", "answer": str(status), "seconds": 0, "megabytes": 0}
-        written = sorted(listing(Path(name)) - before)
-        return {**found, "answer": found["answer"].replace(f"{folder}/", ""), "file": path.name, "written": written}
+    left, found = list(cases), {}
+    while left:
+        with tempfile.TemporaryDirectory() as folder:
+            found |= in_a_child(left, read, Path(folder))
+        left = [case for case in left if case.name not in found]
+    return found
 
 
-def read_here(path: Path, read: Callable[[Path], object]) -> dict:
-    faulthandler.disable()
-    resource.setrlimit(resource.RLIMIT_CPU, (SECONDS, SECONDS))
-    resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
-    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    start = time.process_time()
-    error, answer = "", "is read"
+def in_a_child(cases: "list[Case]", read: Callable[["Case", Path], object], folder: Path) -> dict[str, dict]:
+    """As `outcomes`, up to and with the first file that ends the process."""
+    reading, writing = os.pipe()
+    child = os.fork()
+    if child == 0:
+        os.close(reading)
+        faulthandler.disable()
+        resource.setrlimit(resource.RLIMIT_CORE, (0, 0))
+        with os.fdopen(writing, "w") as pipe:
+            for case in cases:
+                print(json.dumps(outcome(case, read, folder / case.name)), file=pipe, flush=True)
+        os._exit(0)
+    os.close(writing)
+    with os.fdopen(reading) as pipe:
+        told = [json.loads(line) for line in pipe]
+    _, status = os.waitpid(child, 0)
+    found = {case.name: one for case, one in zip(cases, told, strict=False)}
+    if len(found) < len(cases):
+        died = {"error": "died", "answer": f"status {status}", "seconds": 0, "megabytes": 0, "written": []}
+        found[cases[len(found)].name] = died
+    return found
+
+
+def outcome(case: "Case", read: Callable[["Case", Path], object], folder: Path) -> dict:
+    """Make a file, read it, and look at what that took."""
+    (folder / "files").mkdir(parents=True)
+    (folder / "empty").mkdir()
+    path = case.make(folder / "files")
+    os.chdir(folder / "empty")
+    before = listing(folder)
+    error, answer, start = "", "is read", time.process_time()
+    stop = int(time.process_time()) + SECONDS
+    resource.setrlimit(resource.RLIMIT_CPU, (stop, resource.RLIM_INFINITY))
+    Path("/proc/self/clear_refs").write_text("5")  # forget the peak
+    memory = used("VmRSS")
     with warnings.catch_warnings(), contextlib.redirect_stdout(sys.stderr):
         warnings.simplefilter("ignore")
         try:
-            read(path)
+            read(case, path)
         except BaseException as raised:
             error, answer = type(raised).__name__, str(raised)
-    after = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
-    megabytes = (after - before) / 1024
-    return {"error": error, "answer": answer, "seconds": time.process_time() - start, "megabytes": megabytes}
+    told = {"error": error, "answer": answer.replace(f"{folder / 'files'}/", ""), "file": path.name}
+    told |= {"seconds": time.process_time() - start, "megabytes": used("VmHWM") - memory}
+    return told | {"written": sorted(listing(folder) - before)}
+
+
+def used(what: str) -> float:
+    """Megabytes of memory, now ("VmRSS") or at most ("VmHWM")."""
+    lines = Path("/proc/self/status").read_text().splitlines()
+    return next(int(line.split()[1]) for line in lines if line.startswith(f"{what}:")) / 1024
 
 
 def listing(folder: Path) -> set[str]:
     return {str(path.relative_to(folder)) for path in folder.rglob("*")}
 
 
-def outcomes(names: list[str] | None = None) -> dict[str, dict]:
+def by_our_readers(names: list[str] | None = None) -> dict[str, dict]:
     import torch
 
     torch.set_num_threads(1)
     ways = readers()
     gc.collect()
     gc.freeze()  # else a child copies what it shares with its parent, when it looks for garbage
-    return {name: outcome(CASES[name], ways[CASES[name].reader]) for name in names or CASES}
+    return outcomes([CASES[name] for name in names or CASES], lambda case, path: ways[case.reader](path))
 
 
 def page(found: dict[str, dict]) -> str:
@@ -134,5 +153,5 @@ def page(found: dict[str, dict]) -> str:
 
 if __name__ == "__main__":
     wanted = [word for word in sys.argv[1:] if not word.startswith("-")]
-    found = outcomes(wanted)
+    found = by_our_readers(wanted)
     print(json.dumps(found) if "--json" in sys.argv else page(found), end="")
