@@ -5,6 +5,7 @@ import io
 import math
 import re
 from collections.abc import Iterator
+from contextlib import suppress
 from dataclasses import dataclass, field
 from pathlib import Path
 from typing import BinaryIO
@@ -97,14 +98,18 @@ class Lines:
 
     def __iter__(self) -> Iterator[str]:
         empty = 0
-        while line := self._text.readline(MAX_LINE):
-            self.number += 1
-            if len(line) == MAX_LINE:
-                raise UserError(self.where, f"is longer than {MAX_LINE} characters", AGAIN)
-            empty += line[0] in EMPTY
-            if empty > self.number / 2 + MAX_EMPTY:
-                raise UserError(self.where, "comes after more empty lines than others", AGAIN)
-            yield line
+        try:
+            while line := self._text.readline(MAX_LINE):
+                self.number += 1
+                if len(line) == MAX_LINE:
+                    raise UserError(self.where, f"is longer than {MAX_LINE} characters", AGAIN)
+                empty += line[0] in EMPTY
+                if empty > self.number / 2 + MAX_EMPTY:
+                    raise UserError(self.where, "comes after more empty lines than others", AGAIN)
+                yield line
+        finally:
+            with suppress(ValueError):  # it may be closed already, by who opened it
+                self._text.detach()
 
     @property
     def where(self) -> str:

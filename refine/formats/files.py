@@ -5,6 +5,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 from pathlib import Path
 
+import numpy as np
 from torch import Tensor
 
 from refine.formats.actor import read_humanact
@@ -120,7 +121,8 @@ def load_motions(path: str | Path, rest_joints: Tensor, reading: Reading | None 
     kind = kind_of(path)
     if kind not in READERS:
         raise UserError(path, "is not a motion file", f"known are {' and '.join(READ_SUFFIXES)}")
-    motions = READERS[kind](path, rest_joints, reading or Reading())
+    with np.errstate(all="ignore"):  # what is not finite is refused by name, without a warning before
+        motions = READERS[kind](path, rest_joints, reading or Reading())
     return [motion if motion.label else replace(motion, label=label_from_name(path)) for motion in motions]
 
 

@@ -65,7 +65,8 @@ def outcomes(cases: "Iterable[Case]", read: Callable[["Case", Path], object]) ->
         error: the kind of what was raised, "" if nothing was, or "died".
         answer: its message, without the folder. file: the name of the file.
         seconds: of the processor. megabytes: beyond those of before.
-        written: the names of files that were not there before; the process was in an empty folder.
+        written: the names of files that were not there before; the process was in an empty folder. warnings: what else
+        was said.
     """
     left, found = list(cases), {}
     while left:
@@ -93,7 +94,14 @@ def in_a_child(cases: "list[Case]", read: Callable[["Case", Path], object], fold
     _, status = os.waitpid(child, 0)
     found = {case.name: one for case, one in zip(cases, told, strict=False)}
     if len(found) < len(cases):
-        died = {"error": "died", "answer": f"status {status}", "seconds": 0, "megabytes": 0, "written": []}
+        died = {
+            "error": "died",
+            "answer": f"status {status}",
+            "seconds": 0,
+            "megabytes": 0,
+            "written": [],
+            "warnings": [],
+        }
         found[cases[len(found)].name] = died
     return found
 
@@ -110,15 +118,15 @@ def outcome(case: "Case", read: Callable[["Case", Path], object], folder: Path) 
     resource.setrlimit(resource.RLIMIT_CPU, (stop, resource.RLIM_INFINITY))
     Path("/proc/self/clear_refs").write_text("5")  # forget the peak
     memory = used("VmRSS")
-    with warnings.catch_warnings(), contextlib.redirect_stdout(sys.stderr):
-        warnings.simplefilter("ignore")
+    with warnings.catch_warnings(record=True) as warned, contextlib.redirect_stdout(sys.stderr):
+        warnings.simplefilter("always")
         try:
             read(case, path)
         except BaseException as raised:
             error, answer = type(raised).__name__, str(raised)
     told = {"error": error, "answer": answer.replace(f"{folder / 'files'}/", ""), "file": path.name}
     told |= {"seconds": time.process_time() - start, "megabytes": used("VmHWM") - memory}
-    return told | {"written": sorted(listing(folder) - before)}
+    return told | {"written": sorted(listing(folder) - before), "warnings": [str(one.message) for one in warned]}
 
 
 def used(what: str) -> float:

@@ -303,6 +303,11 @@ def nan_poses() -> bytes:
     return amass(poses=array(np.full((3, 72), np.nan)))
 
 
+@hostile("has angles of NaN of a kind that processors stop at", ".npz")
+def signalling_nan() -> bytes:
+    return amass(poses=npy("(3, 72)", "'<f4'", b"\x01\0\x80\x7f" * 216))
+
+
 @hostile("has angles that overflow when they are squared", ".npz")
 def large_angles() -> bytes:
     return amass(poses=array(np.full((3, 72), 1e308)))

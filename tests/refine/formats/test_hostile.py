@@ -35,7 +35,7 @@ def test_a_hostile_file_is_refused(outcomes, name):
     found = outcomes[name]
     assert found["error"] in ("UserError", "ShapeError"), found
     assert found["answer"].isprintable() and len(found["answer"]) < 1000
-    assert found["written"] == []
+    assert found["written"] == [] and found["warnings"] == []
     assert found["seconds"] < 2 * SECONDS and found["megabytes"] < MEGABYTES, found
 
 
