@@ -161,11 +161,45 @@ def test_y_down(told, walk, rest_joints):
     check_same(retarget(bvh, rest_joints), walk, rest_joints)
 
 
-def test_someone_who_lies_is_not_set_up(told, walk, rest_joints):
-    """The rest pose stands, so the motion may lie in any direction."""
-    lying = variants.replace(told, rotations=told.rotations.clone())
-    lying.rotations[:, 0] = turned(37, "y") @ turned(-90, "x") @ turned(-50, "y") @ lying.rotations[:, 0]
+@pytest.mark.parametrize(("yaw", "knees"), [(37.0, 0.0), (18.0, 0.0), (0.0, 100.0)])
+def test_someone_who_lies_is_not_set_up(told, yaw, knees):
+    """The rest pose stands, so the motion may lie in any direction; along an axis if the legs are drawn up."""
+    lying = variants.replace(told, rotations=torch.eye(3, dtype=torch.float64).repeat(len(told), 24, 1, 1))
+    lying.rotations[:, 0] = turned(yaw, "y") @ turned(-90, "x")
+    for side in SIDES:
+        lying.rotations[:, JOINTS[f"{side}_hip"]] = turned(-0.6 * knees, "x")
+        lying.rotations[:, JOINTS[f"{side}_knee"]] = turned(knees, "x")
     assert mapping_of(lying).up == "y"
+
+
+def test_arms_turned_in_all_the_time(told, walk, rest_joints):
+    """Elbows bend forward in the frame of the upper arm: that tells its twist where no rest pose does."""
+    rotations = walk.rotations.clone()
+    for side, sign in (("left", 1.0), ("right", -1.0)):
+        shoulder, elbow = JOINTS[f"{side}_shoulder"], JOINTS[f"{side}_elbow"]
+        rotations[:, shoulder] = turned(sign * -75).float() @ turned(-60, "x").float()
+        rotations[:, elbow] = turned(sign * -70, "y").float()
+    motion = variants.replace(walk, rotations=rotations)
+    bvh = variants.along_x(motion_to_bvh(motion, rest_joints), seed=5)
+    ours = retarget(bvh, rest_joints)
+    found, expected = (forward_kinematics(m.rotations, m.root, rest_joints)[1] for m in (ours, motion))
+    off = torch.rad2deg(rotation_angle(found.mT @ expected)).amax(dim=0)
+    for side in SIDES:
+        assert off[JOINTS[f"{side}_shoulder"]] < 10 and off[JOINTS[f"{side}_elbow"]] < 10
+
+
+def test_what_a_hand_holds_is_no_hand(told, walk, rest_joints):
+    """A thing that hangs aside from the wrist does not turn it."""
+    bvh = variants.replace(told, positions=told.positions.clone(), offsets=told.offsets.clone(), ends=())
+    for side in SIDES:
+        aside = torch.tensor([0.0, 0.0, 0.2], dtype=torch.float64)
+        bvh.positions[:, JOINTS[f"{side}_hand"]], bvh.offsets[JOINTS[f"{side}_hand"]] = aside, aside
+    names = [name.replace("HandMiddle1", "Torch") for name in variants.smpl_names("Mixamo")]
+    motion = retarget(variants.renamed(bvh, names), rest_joints)
+    check_same(motion, walk, rest_joints)
+    turns = [forward_kinematics(m.rotations, m.root, rest_joints)[1] for m in (motion, walk)]
+    off = torch.rad2deg(rotation_angle(turns[0].mT @ turns[1])).amax(dim=0)
+    assert max(off[JOINTS[f"{side}_wrist"]] for side in SIDES) < 5
 
 
 @pytest.mark.parametrize("unit", UNITS)
