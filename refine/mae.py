@@ -194,7 +194,7 @@ def load_described(weights: Path) -> MAE:
     for file in (weights, description):
         if not file.exists():
             raise UserError(file, "no such file", remedy)
-    stored, described = read_safetensors(weights, remedy)[0], read_json(description)
+    stored, described = read_safetensors(weights, remedy)[0], read_json(description, finite=False)
     tensors = {name: value.float() for name, value in stored.items()}
     try:
         config = MAEConfig(**described["config"])

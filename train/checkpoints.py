@@ -70,7 +70,7 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
     if not described.is_file():
         raise UserError(described, "no such file", again)
     try:
-        description = read_json(described)
+        description = read_json(described, finite=False)
         found, schema = description["kind"], description["schema"]
     except (UserError, KeyError, TypeError) as error:
         raise UserError(described, f"does not describe any weights ({error})", again) from error

@@ -33,6 +33,7 @@ from refine.distributions import (
     multimodality,
     multimodality_exact,
 )
+from refine.formats.untrusted import read_json
 from refine.generator import Generator, generate, label_weights, stand
 from refine.metrics import floor_penetrations, foot_skates, jitters, motion_errors
 from refine.motion import Motion, from_features
@@ -297,7 +298,7 @@ def evaluate(run: Path, benchmark: Benchmark, config: EvaluationConfig, row: str
     """
     started = time.monotonic()
     weights = run / "last.safetensors"
-    generator, trained, described = load_generator(weights), read_config(run), json.loads(as_json(weights))
+    generator, trained, described = load_generator(weights), read_config(run), description_of(weights)
     check_run(run, trained, described, benchmark)
     judge = Judge(benchmark, Body.free("light").rest_joints, config.device)
     alone = trained["data"]["pairs"] == "single"
@@ -328,13 +329,13 @@ def evaluate(run: Path, benchmark: Benchmark, config: EvaluationConfig, row: str
 def read_config(run: Path) -> dict:
     """The configuration that a run of `refine train generator` was started with."""
     path = run / "config.json"
+    if not path.exists():
+        raise UserError(run, "holds no run", "give a folder that `refine train generator` wrote")
     try:
-        found = json.loads(path.read_text())
+        found = read_json(path, finite=False)
         found["data"]["pairs"], found["loop"]["seed"], found["loop"]["steps"]
         found["coupling"] = CouplingConfig(**found["coupling"])
-    except FileNotFoundError as error:
-        raise UserError(run, "holds no run", "give a folder that `refine train generator` wrote") from error
-    except (json.JSONDecodeError, UnicodeDecodeError, KeyError, TypeError) as error:
+    except (KeyError, TypeError) as error:
         raise UserError(path, f"is no configuration of a generator ({error})", "train it again") from error
     return found
 
@@ -348,8 +349,8 @@ def check_run(run: Path, trained: dict, described: dict, benchmark: Benchmark):
         raise UserError(run, f"was not trained on {benchmark.folder}", f"train with --data.source {benchmark.folder}")
 
 
-def as_json(weights: Path) -> str:
-    return weights.with_suffix(".json").read_text()
+def description_of(weights: Path) -> dict:
+    return read_json(weights.with_suffix(".json"), finite=False)
 
 
 def hashes_of(judge: Judge) -> dict[str, str]:
@@ -360,7 +361,7 @@ def hashes_of(judge: Judge) -> dict[str, str]:
 
 def hash_recogniser(weights: Path) -> str:
     """SHA-256 of a recogniser's weights and of its configuration, which says what counts as right."""
-    described = json.dumps(json.loads(as_json(weights))["config"], sort_keys=True)
+    described = json.dumps(description_of(weights)["config"], sort_keys=True)
     return hashlib.sha256(weights.read_bytes() + described.encode()).hexdigest()
 
 

@@ -1,6 +1,5 @@
 """Evaluations as JSON, and as Markdown tables that say what their figures can and cannot tell."""
 
-import json
 import math
 from collections.abc import Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
@@ -8,6 +7,7 @@ from pathlib import Path
 from statistics import mean
 from typing import Any, Literal, Self
 
+from refine.formats.untrusted import read_json
 from refine.intervals import compare, summarise_repeats
 from renderers.checks import UserError
 from train import published
@@ -165,9 +165,7 @@ def load_evaluation(path: Path) -> Evaluation:
     if not path.is_file():
         raise UserError(path, "no such file", "give what `refine evaluate` wrote")
     try:
-        return Evaluation.from_json(json.loads(path.read_text()))
-    except (json.JSONDecodeError, UnicodeDecodeError) as error:
-        raise UserError(path, f"is no JSON ({error})", "give what `refine evaluate` wrote") from error
+        return Evaluation.from_json(read_json(path, finite=False))
     except UserError as error:
         raise UserError(path, error.problem, error.remedy) from error
 

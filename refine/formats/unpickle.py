@@ -24,7 +24,7 @@ from renderers.checks import UserError
 REMEDY = "only numbers, text, lists, dictionaries and NumPy arrays are read; convert the file to .npz"
 MAX_LENGTH = 1 << 40  # of an axis
 MAX_NAMES = 64  # of classes
-STEPS = 300_000  # of any file, and one more for every thousand bytes: HumanAct12 takes 50,000 for 200 MB
+STEPS = 300_000  # of any file, and one more for every hundred bytes: HumanAct12 takes 110,000 for 200 MB
 SPARE = 1 << 24  # bytes of sets, dictionaries and arrays beyond those of the file
 KEYS = (str, bytes, int, float, bool, type(None))
 
@@ -134,8 +134,8 @@ class Unpickler(pickle._Unpickler):
     def __init__(self, stream: BinaryIO, size: int):
         super().__init__(_Bounded(stream, size), encoding="latin1")
         table = {code: getattr(type(self), step.__name__) for code, step in pickle._Unpickler.dispatch.items()}
-        self.dispatch = _Steps(table, STEPS + size // 1000)
-        self.bytes_left = size + SPARE
+        self.dispatch = _Steps(table, STEPS + size // 100)
+        self.bytes_left = 2 * size + SPARE  # protocol 2 makes bytes of text, and arrays of these
         self.records: dict[str, type[Inert]] = {}
         self.functions: dict[str, Callable] = {
             "numpy.dtype": _Dtype,

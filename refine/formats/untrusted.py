@@ -92,23 +92,26 @@ def read_bytes(path: str | Path, max_bytes: int) -> bytes:
     return content
 
 
-def read_json(path: str | Path, max_bytes: int = MAX_JSON) -> Any:
+def read_json(path: str | Path, max_bytes: int = MAX_JSON, finite: bool = True) -> Any:
     """The values of a JSON file in UTF-8.
+
+    Args:
+        finite: refuse NaN and infinity, which are no JSON, but which Python writes.
 
     Raises:
         UserError: see :func:`opened`; or it is no JSON, or nested too deeply.
     """
-    return parse_json(path, read_bytes(path, max_bytes))
+    return parse_json(path, read_bytes(path, max_bytes), finite)
 
 
-def parse_json(where: str | Path, content: bytes) -> Any:
-    """The values of JSON in UTF-8; NaN and infinity, which are no JSON, are refused.
+def parse_json(where: str | Path, content: bytes, finite: bool = True) -> Any:
+    """As :func:`read_json`, of bytes.
 
     Raises:
         UserError: it is no JSON, or nested too deeply.
     """
     try:
-        return json.loads(content.decode("utf-8-sig"), parse_constant=_no_number)
+        return json.loads(content.decode("utf-8-sig"), parse_constant=_no_number if finite else None)
     except RecursionError as error:
         raise UserError(where, "is nested too deeply", "check what it is") from error
     except ValueError as error:  # of the text, the syntax, or a number of thousands of digits

@@ -70,7 +70,7 @@ class TestFiles:
             load_evaluation(path)
         good = evaluation("with DR", 0, fid_c=[1.0]).to_json()
         for content, problem in (
-            ("{", "is no JSON"),
+            ("{", "is not JSON"),
             ("[1]", "is no evaluation"),
             (json.dumps({**good, "kind": "mae"}), "is no evaluation"),
             (json.dumps({**good, "schema": 7}), "is of schema 7, this version reads 1"),

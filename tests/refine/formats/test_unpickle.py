@@ -42,6 +42,13 @@ def test_data_of_every_protocol_comes_back(written, protocol):
         assert np.asarray(read[name]).dtype.newbyteorder("=") == array.dtype.newbyteorder("=")
 
 
+@pytest.mark.parametrize("protocol", range(pickle.HIGHEST_PROTOCOL + 1))
+def test_large_arrays_of_every_protocol_come_back(written, protocol, monkeypatch):
+    monkeypatch.setattr("refine.formats.unpickle.SPARE", 10_000)
+    for array in (np.zeros((50_000, 3)), np.random.default_rng(0).random((50_000, 3))):
+        np.testing.assert_array_equal(read_pickle(written(pickle.dumps([array, array[:9]], protocol)))[0], array)
+
+
 def test_arrays_as_python_2_wrote_them_come_back(written):
     """Protocol 2 of Python 2 with NumPy 1: bytes are text, and modules have their old names."""
     values = np.array([1.0, -2.5])
