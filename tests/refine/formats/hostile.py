@@ -35,9 +35,13 @@ line that says what is wrong with it: nothing in it is executed, nothing is writ
 followed, and memory is taken only for what the file has shown. Limits are constants at the top of
 `refine/formats/untrusted.py` and of each reader.
 
-`python tests/refine/formats/hostile.py` makes the {count} files below, has each read in a process of its own, and
+`python tests/refine/formats/hostile.py` makes the {count} files below, has them read in a process apart, and
 prints this page. The tests hold every one of them to a refusal in one line, in less than a second of the processor and
 less than 200 MB of memory. A file that is honest but large takes as long as it takes to read what is before the fault.
+
+Files that nobody thought of are looked for by `python tools/fuzz.py`, which mutates the files of
+`tests/refine/formats/seeds` and keeps what reaches new code. Ten minutes for each of BVH, AMC, .npz, pickles and GLB on
+one core are 140,000 to 440,000 files each; what they found is among those below.
 """
 READERS = ("motion", "body", "weights", "labels", "mapping", "json")
 SECONDS = 10  # at which a reader is stopped
