@@ -79,7 +79,7 @@ class Command:
 
 
 def grammar(verbs: Mapping[str, Any], name: str = "") -> Command:
-    """The commands of a table of verbs, see ``refine.cli.main.VERBS``."""
+    """The commands of a table of verbs, see ``refine.cli.verbs.VERBS``."""
     made = {}
     for word, verb in verbs.items():
         path = f"{name} {word}".strip()

@@ -9,7 +9,8 @@ import pytest
 
 from refine.cli.completion import INSTALL, offers, script
 from refine.cli.grammar import Command, Flag, grammar
-from refine.cli.main import VERBS, main
+from refine.cli.main import main
+from refine.cli.verbs import VERBS
 
 ACTIONS = ("walk", "wave-left-hand")
 ASK = """

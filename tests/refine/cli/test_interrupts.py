@@ -63,3 +63,18 @@ def test_ctrl_c_stops_cleanly(tmp_path, words, bar):
         assert not [name for name in left if "part" in name]
     else:
         assert left == []
+
+
+def test_ctrl_c_while_the_program_is_still_being_read():
+    code = """
+import sys
+class Pressed:
+    def find_spec(self, name, *_):
+        if name == "refine.cli.words":
+            raise KeyboardInterrupt
+sys.meta_path.insert(0, Pressed())
+from refine.cli.main import main
+sys.exit(main(["demo"]))
+"""
+    done = subprocess.run([sys.executable, "-c", code], capture_output=True, text=True)
+    assert (done.returncode, done.stderr) == (130, "refine: stopped; nothing half-written is left\n")

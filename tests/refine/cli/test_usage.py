@@ -10,7 +10,9 @@ from importlib.metadata import version
 import pytest
 
 from refine.cli.grammar import Command, Flag, grammar
-from refine.cli.main import EXIT_CODES, VERBS, main, name_of, offer
+from refine.cli.main import main
+from refine.cli.verbs import VERBS, name_of
+from refine.cli.words import EXIT_CODES, offer
 
 PROGRAM = [sys.executable, "-m", "refine.cli.main"]
 
@@ -170,7 +172,7 @@ def test_grammar_says_what_the_dataclasses_say(root):
 
 
 def test_grammar_imports_nothing_heavy_before_a_preset_is_asked_for():
-    code = "import sys; from refine.cli.main import VERBS; from refine.cli.grammar import grammar; grammar(VERBS)"
+    code = "import sys; from refine.cli.verbs import VERBS; from refine.cli.grammar import grammar; grammar(VERBS)"
     code += ".along(['composs']); assert 'torch' not in sys.modules"
     assert subprocess.run([sys.executable, "-c", code]).returncode == 0
 
