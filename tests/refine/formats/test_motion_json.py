@@ -1,6 +1,7 @@
 """Motions as JSON: there and back, by hand too, and what is no motion."""
 
 import json
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -57,6 +58,18 @@ def test_another_program_finds_the_joints(tmp_path, free_body):
     steps = np.abs(np.diff(np.array(found["rotations"]), axis=0)).max()
     flipped = np.einsum("tjq,tjq->tj", *(np.array(found["rotations"])[some] for some in (slice(1, None), slice(-1))))
     assert steps < 2 and flipped.min() >= -1e-6
+
+
+def test_the_example_of_the_page_finds_the_joints(tmp_path, free_body, monkeypatch):
+    page = (Path(__file__).parents[3] / "docs" / "json.md").read_text()
+    code = page.partition("```python\n")[2].partition("```")[0]
+    motion, found = motion_of(2), {}
+    write_motion_json(tmp_path / "both.json", motion, free_body)
+    monkeypatch.chdir(tmp_path)
+    exec(code, found)  # our own page
+    np.testing.assert_allclose(found["joints"], motion.joints(free_body.rest_joints), atol=2e-6)
+    written = json.loads((tmp_path / "both.json").read_text())
+    assert all(f"`{key}`" in page for key in (*written, "betas"))
 
 
 @pytest.mark.parametrize(
