@@ -148,7 +148,14 @@ def test_mappings_that_are_none(tmp_path, change, message):
 
 def test_hostile_mappings(tmp_path):
     path = tmp_path / "map.json"
-    for text in ("[" * 100_000, "", "null", "{" * 20, '{"refine_mapping": 1, "joints": {"a": ', " " * (1 << 21) + "{}"):
+    for text in (
+        "[" * 100_000,
+        "",
+        "null",
+        "{" * 20,
+        '{"refine_mapping": 1, "joints": {"a": ',
+        json.dumps(GOOD) + " " * (1 << 21),
+    ):
         path.write_text(text)
         start = time.perf_counter()
         with pytest.raises(UserError) as caught:
@@ -173,8 +180,11 @@ def test_someone_on_hands_and_knees_is_a_person(told, rest_joints):
     crawling = replace(told, rotations=told.rotations.clone())
     tilt = torch.tensor([[1, 0, 0], [0, 0, -1], [0, 1, 0]], dtype=torch.float64)  # face down
     crawling.rotations[:, 0] = tilt
-    for joint in ("left_hip", "right_hip", "left_shoulder", "right_shoulder"):
-        crawling.rotations[:, JOINTS[joint]] = tilt.mT
+    down = torch.tensor([[0, 1, 0], [-1, 0, 0], [0, 0, 1]], dtype=torch.float64)  # the left arm
+    for side, turn in (("left", down), ("right", down.mT)):
+        crawling.rotations[:, JOINTS[f"{side}_hip"]] = tilt.mT
+        crawling.rotations[:, JOINTS[f"{side}_collar"]] = torch.eye(3, dtype=torch.float64)
+        crawling.rotations[:, JOINTS[f"{side}_shoulder"]] = tilt.mT @ turn
     assert mapping_of(crawling).rest == ZERO_POSE
     heap = variants.along_x(variants.renamed(crawling, variants.smpl_names("LAFAN1")))
     assert mapping_of(heap).rest == STRAIGHTEST
