@@ -17,13 +17,14 @@ from refine.ownership import Owned, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
 from refine.seeing import Clips, Pinning, Seen, check_drawn, draw, flesh, joints_to_draw, mesh_to_draw, pin, reach
 from renderers.body import Body
-from renderers.camera import Camera, frame_each
+from renderers.camera import Camera, cat, frame_each
 from renderers.checks import UserError, check_shapes
 from renderers.silhouette import blur
 from renderers.skeleton import DRAWN_PART_NAMES
 
 SPARE = 0.05  # metres that stay free about a motion; a picture is at least 2.3 metres wide
-CHUNK = 128  # bodies or pictures that are worked on at once: long clips must not need memory by their length
+# Bodies or pictures that are worked on at once: long clips must not need memory by their length.
+CHUNK, CHUNK_ON_CARD = 128, 1024
 
 
 @dataclass(frozen=True)
@@ -96,6 +97,10 @@ class Trace(NamedTuple):
     sides: tuple[Side, Side]
 
 
+def at_once(values: Tensor) -> int:
+    return CHUNK if values.device.type == "cpu" else CHUNK_ON_CARD
+
+
 def take_frames(values: Tensor, frames: Tensor) -> Tensor:
     """values [B T ...], frames [B K] -> [B K ...]."""
     return values[torch.arange(len(frames), device=frames.device)[:, None], frames]
@@ -155,18 +160,23 @@ class Decoupler(nn.Module):
         """B cameras for each view: one for each clip of ``motions``, which sees every usual pose and, of all motions,
         that clip whole. What a pair's loss is does not hang on the other pairs of a batch."""
         usual = reach(self.body.rest_joints, self.config.pinned)
-        points = torch.cat([usual.expand(len(motions[0].root), -1, -1), *map(self.box, motions)], dim=1)
+        points = torch.cat([usual.expand(len(motions[0].root), -1, -1), *self.boxes(*motions)], dim=1)
         return [frame_each(points, self.size, yaw=math.radians(yaw), margin=0.0) for yaw in self.config.views]
 
     @torch.no_grad()
-    def box(self, clips: Clips) -> Tensor:
-        """[B 8 3] metres: corners of upright boxes about motions as drawn: joints, the flesh on them, and `SPARE`."""
-        rotations, root = (value.flatten(0, 1) for value in pin(clips, self.config.pinned))
-        joints, around = joints_to_draw(self.body, rotations, root, self.config.pinned), self.flesh[:, None] + SPARE
-        joints = joints.unflatten(0, clips.root.shape[:2])
-        low, high = (joints - around).amin((1, 2)), (joints + around).amax((1, 2))
-        upper = torch.cartesian_prod(*[torch.tensor([False, True])] * 3).to(low.device)
-        return torch.where(upper, high[:, None], low[:, None])
+    def boxes(self, *motions: Clips) -> list[Tensor]:
+        """[B 8 3] metres of each: corners of upright boxes about motions as drawn: joints, the flesh on them, and
+        `SPARE`."""
+        pinned = [Clips(*(value.flatten(0, 1) for value in pin(clips, self.config.pinned))) for clips in motions]
+        drawn = joints_to_draw(self.body, *joined(*pinned), self.config.pinned)
+        around = self.flesh[:, None] + SPARE
+        upper = torch.cartesian_prod(*[torch.tensor([False, True])] * 3).to(drawn.device)
+        boxes = []
+        for clips, joints in zip(motions, drawn.split([len(flat.root) for flat in pinned]), strict=True):
+            joints = joints.unflatten(0, clips.root.shape[:2])
+            low, high = (joints - around).amin((1, 2)), (joints + around).amax((1, 2))
+            boxes.append(torch.where(upper, high[:, None], low[:, None]))
+        return boxes
 
     def see(self, clips: Clips, frames: Tensor, cameras: list[Camera]) -> Seen:
         """Draw the frames [B K] of motions in every view, by one camera or one for each motion; differentiable in the
@@ -179,9 +189,8 @@ class Decoupler(nn.Module):
         )
         rotations, root = (take_frames(value, frames) for value in pin(clips, self.config.pinned))
         clip = torch.arange(len(frames)).repeat_interleave(frames.shape[1])
-        bodies = zip(
-            *(value.split(CHUNK) for value in (rotations.flatten(0, 1), root.flatten(0, 1), clip)), strict=True
-        )
+        flat = (rotations.flatten(0, 1), root.flatten(0, 1), clip)
+        bodies = zip(*(value.split(at_once(root)) for value in flat), strict=True)
         mesh = self.mesh.to(root.device)
         channels = self.mae.config.channels
         seen = [
@@ -193,14 +202,17 @@ class Decoupler(nn.Module):
     @torch.no_grad()
     def references(self, i: Clips, j: Clips, frames: Tensor, cameras: list[Camera]) -> tuple[Reference, Reference]:
         """Draw the sub-actions and measure their energies; the part of Eq. 7 that is constant."""
+        both = joined(i, j)
+        cameras = [camera if len(camera) == 1 else cat([camera] * 2) for camera in cameras]
+        energies = joint_energies(energy_signal(*both, self.body.rest_joints))
+        owned = joined(*self.ownership(i, j))
         pictures_of_clip = frames.shape[1] * len(cameras)
-        references = []
-        for clips, owned in zip((i, j), self.ownership(i, j), strict=True):
-            energies = joint_energies(energy_signal(*clips, self.body.rest_joints))
-            per_clip = (energies, *(value.to(energies.device) for value in owned))
-            energies, *owned = (value.repeat_interleave(pictures_of_clip, 0) for value in per_clip)
-            references.append(Reference(self.see(clips, frames, cameras), energies, Owned(*owned)))
-        return tuple(references)
+        energies, *owned = (
+            value.to(energies.device).repeat_interleave(pictures_of_clip, 0) for value in (energies, *owned)
+        )
+        references = Reference(self.see(both, frames.repeat(2, 1), cameras), energies, Owned(*owned))
+        half = len(energies) // 2
+        return rows_of(references, slice(half)), rows_of(references, slice(half, None))
 
     def ownership(self, i: Clips, j: Clips) -> tuple[Owned, Owned]:
         """What each sub-action owns of its B pairs' channels."""
@@ -213,7 +225,8 @@ class Decoupler(nn.Module):
         """Eqs. 5 to 7 on pictures that are already drawn, both sides in one pass."""
         count = len(composed.pictures)
         twice, asked = joined(composed, composed), joined(*references)
-        chunks = [slice(start, start + CHUNK) for start in range(0, 2 * count, CHUNK)]
+        step = at_once(composed.pictures)
+        chunks = [slice(start, start + step) for start in range(0, 2 * count, step)]
         both = joined(*(self.complete(rows_of(twice, rows), rows_of(asked, rows)) for rows in chunks))
         sides = rows_of(both, slice(count)), rows_of(both, slice(count, None))
         return Trace((sides[0].loss + sides[1].loss).mean(), composed, references, sides)

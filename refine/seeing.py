@@ -7,7 +7,7 @@ import torch
 from torch import Tensor
 
 from renderers.body import Body
-from renderers.camera import Camera
+from renderers.camera import Camera, cat
 from renderers.checks import UserError, check_shapes
 from renderers.mesh import Mesh
 from renderers.rotations import heading, rotation_about
@@ -112,11 +112,11 @@ def mesh_to_draw(body: Body, mode: Pinning, channels: int) -> Mesh:
 
 def joints_to_draw(body: Body, rotations: Tensor, root: Tensor, mode: Pinning) -> Tensor:
     """[N 24 3] metres: where the joints are of what `draw` draws."""
-    joints = forward_kinematics(rotations, root, body.rest_joints)[0]
-    if mode == "trunk":
-        straight = forward_kinematics(straighten(rotations), root, body.rest_joints)[0]
-        joints = torch.where(torch.tensor(LIMB_JOINTS).to(joints.device)[:, None], straight, joints)
-    return joints
+    if mode != "trunk":
+        return forward_kinematics(rotations, root, body.rest_joints)[0]
+    both = torch.stack([rotations, straighten(rotations)])
+    joints, straight = forward_kinematics(both, root.expand(2, -1, -1), body.rest_joints)[0]
+    return torch.where(torch.tensor(LIMB_JOINTS).to(joints.device)[:, None], straight, joints)
 
 
 def draw(
@@ -135,15 +135,20 @@ def draw(
         rotations: [N 24 3 3], root: [N 3] metres, both as ``pin`` leaves them.
         channels: of the pictures, if other than the mesh's: `COLOURED` for parts in colours.
     """
-    posed = body(rotations, root)
-    vertices = posed.vertices
+    count, views = len(root), len(cameras)
     if mode == "trunk":
-        vertices = torch.cat([vertices, body(straighten(rotations), root).vertices], dim=1)
-    pictures = [silhouette(vertices, mesh, camera) for camera in cameras]
+        posed = body(torch.cat([rotations, straighten(rotations)]), root.repeat(2, 1))
+        vertices = torch.cat(posed.vertices.split(count), dim=1)
+    else:
+        posed = body(rotations, root)
+        vertices = posed.vertices
+    every = cat([camera[torch.zeros(count, dtype=torch.long)] if len(camera) == 1 else camera for camera in cameras])
+    pictures = silhouette(vertices.repeat(views, 1, 1), mesh, every)
     if channels == COLOURED:
-        pictures = [coloured(parts) for parts in pictures]
-    joints_px = [camera.project(posed.joints) for camera in cameras]
-    return Seen(torch.stack(pictures, 1).flatten(0, 1), torch.stack(joints_px, 1).flatten(0, 1))
+        pictures = coloured(pictures)
+    joints_px = every.project(posed.joints[:count].repeat(views, 1, 1))
+    by_view = (values.unflatten(0, (views, count)) for values in (pictures, joints_px))
+    return Seen(*(values.transpose(0, 1).flatten(0, 1) for values in by_view))
 
 
 def coloured(parts: Tensor) -> Tensor:

@@ -1,5 +1,9 @@
 """SMPL's 24 joints: names, tree, sides, parts, and forward kinematics (protocol A.1, B.4 no. 7)."""
 
+from functools import cache
+from itertools import groupby, pairwise
+from typing import NamedTuple
+
 import torch
 from torch import Tensor
 
@@ -59,10 +63,40 @@ def forward_kinematics(rotations: Tensor, root: Tensor, rest_joints: Tensor) -> 
         root=(root, "... 3"),
         rest_joints=(rest_joints, "24 3"),
     )
-    world, joints = [rotations[..., 0, :, :]], [root]
-    for joint in range(1, len(PARENTS)):
-        parent = PARENTS[joint]
-        offset = rest_joints[joint] - rest_joints[parent]
-        world.append(world[parent] @ rotations[..., joint, :, :])
-        joints.append(joints[parent] + (world[parent] @ offset[:, None])[..., 0])
-    return torch.stack(joints, dim=-2), torch.stack(world, dim=-3)
+    tree = Tree.on(rotations.device)
+    first, *levels = rotations.split([len(level) for level in LEVELS], dim=-3)
+    world = [first]
+    for places, turns in zip(tree.places, levels, strict=True):
+        world.append(world[-1].index_select(-3, places) @ turns)
+    world = torch.cat(world, dim=-3)
+    bones = (rest_joints - rest_joints.index_select(0, tree.parents))[..., None]
+    turned = (world.index_select(-3, tree.parents) @ bones)[..., 0]
+    return root[..., None, :] + (turned.mT @ tree.below.to(turned)).mT, world
+
+
+def _depth(joint: int) -> int:
+    return 1 + _depth(PARENTS[joint]) if joint else 0
+
+
+# SMPL numbers its joints from the pelvis outwards: those of a level follow each other.
+LEVELS = tuple(tuple(level) for _, level in groupby(range(len(PARENTS)), _depth))
+
+
+class Tree(NamedTuple):
+    """The tree as indices. A level at a time takes a third of the calls that a joint at a time does."""
+
+    places: tuple[Tensor, ...]  # of the parents of each level but the first, among the level before
+    parents: Tensor  # [24] each joint's, the pelvis its own
+    below: Tensor  # [24 24] 1 where the second joint is the first or below it
+
+    @staticmethod
+    @cache
+    def on(device: torch.device) -> "Tree":
+        places = [
+            torch.tensor([PARENTS[joint] - before[0] for joint in level], device=device)
+            for before, level in pairwise(LEVELS)
+        ]
+        below = torch.eye(len(PARENTS))
+        for joint, parent in enumerate(PARENTS[1:], start=1):
+            below[:, joint] += below[:, parent]
+        return Tree(tuple(places), torch.tensor((0, *PARENTS[1:]), device=device), below.to(device))

@@ -110,7 +110,11 @@ def fit(
             should be resumed cannot be read.
     """
     optimiser = torch.optim.AdamW(
-        model.parameters(), config.learning_rate, betas=config.betas, weight_decay=config.weight_decay
+        model.parameters(),
+        config.learning_rate,
+        betas=config.betas,
+        weight_decay=config.weight_decay,
+        fused=next(model.parameters()).is_cuda,  # one call instead of hundreds
     )
     state = folder / "state.safetensors"
     # A run that was killed before it wrote anything goes on from its first step.
