@@ -98,16 +98,21 @@ def test_damage_is_one_line(tmp_path):
         read_npz(tmp_path / "none.npz")
 
 
-DTYPES = st.sampled_from(["|b1", "|i1", "|u1", "<i4", ">i8", "<u2", "<f2", "<f4", ">f8", "|S3"]) | st.just("<U4")
+DTYPES = st.sampled_from(["|b1", "|i1", "|u1", "<i4", ">i8", "<u2", "<f2", "<f4", ">f8", "|S3", "<U4", ">U4"])
+
+
+def arrays(code: str) -> st.SearchStrategy[np.ndarray]:
+    """Arrays of a type, of text those that are text: NumPy also stores halves of surrogate pairs, which are refused."""
+    shapes = numpy.array_shapes(min_dims=0, max_dims=4, min_side=0)
+    text = {"elements": {"alphabet": st.characters(codec="utf-8")}} if "U" in code else {}
+    return numpy.arrays(np.dtype(code), shapes, **text)
 
 
 @settings(max_examples=60, deadline=None)
 @given(
     st.dictionaries(
         st.from_regex(r"[a-z_][a-z0-9_]{0,9}", fullmatch=True).filter(lambda name: name != "file"),
-        DTYPES.flatmap(
-            lambda code: numpy.arrays(np.dtype(code), numpy.array_shapes(min_dims=0, max_dims=4, min_side=0))
-        ),
+        DTYPES.flatmap(arrays),
         min_size=1,
         max_size=4,
     ),
@@ -125,6 +130,21 @@ def test_any_arrays_come_back(tmp_path_factory, arrays, packed, transposed):
         assert back[name].tobytes() == array.tobytes()
         np.save(path.with_suffix(".npy"), array)
         assert read_npy(path.with_suffix(".npy")).tobytes() == array.tobytes()
+
+
+@pytest.mark.parametrize("order", "<>")
+@pytest.mark.parametrize("half", ["\ud800", "\udbff", "\udc00", "\udfff"])
+def test_halves_of_surrogate_pairs_are_refused(tmp_path, half, order):
+    np.savez(tmp_path / "a.npz", label=np.array(["walk", f"a{half}"], f"{order}U4"))
+    with pytest.raises(UserError, match="array 'label': holds text that is no Unicode"):
+        read_npz(tmp_path / "a.npz")
+
+
+@pytest.mark.parametrize("order", "<>")
+def test_text_beyond_the_first_plane_comes_back(tmp_path, order):
+    text = np.array(["\ud7ff\ue000", "\U0001f6b6\U0010ffff", ""], f"{order}U4")
+    np.savez(tmp_path / "a.npz", label=text)
+    np.testing.assert_array_equal(read_npz(tmp_path / "a.npz")["label"], text)
 
 
 @settings(max_examples=200, deadline=None)
