@@ -17,7 +17,7 @@ from refine.ownership import Owned, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
 from refine.seeing import Clips, Pinning, Seen, check_drawn, draw, flesh, joints_to_draw, mesh_to_draw, pin, reach
 from renderers.body import Body
-from renderers.camera import Camera, cat, frame_each
+from renderers.camera import Camera, frame_each
 from renderers.checks import UserError, check_shapes
 from renderers.silhouette import blur
 from renderers.skeleton import DRAWN_PART_NAMES
@@ -203,15 +203,14 @@ class Decoupler(nn.Module):
     def references(self, i: Clips, j: Clips, frames: Tensor, cameras: list[Camera]) -> tuple[Reference, Reference]:
         """Draw the sub-actions and measure their energies; the part of Eq. 7 that is constant."""
         both = joined(i, j)
-        cameras = [camera if len(camera) == 1 else cat([camera] * 2) for camera in cameras]
         energies = joint_energies(energy_signal(*both, self.body.rest_joints))
         owned = joined(*self.ownership(i, j))
         pictures_of_clip = frames.shape[1] * len(cameras)
         energies, *owned = (
             value.to(energies.device).repeat_interleave(pictures_of_clip, 0) for value in (energies, *owned)
         )
-        references = Reference(self.see(both, frames.repeat(2, 1), cameras), energies, Owned(*owned))
-        half = len(energies) // 2
+        seen = self.see(both, frames.repeat(2, 1), [one.repeat(2) for one in cameras])
+        references, half = Reference(seen, energies, Owned(*owned)), len(energies) // 2
         return rows_of(references, slice(half)), rows_of(references, slice(half, None))
 
     def ownership(self, i: Clips, j: Clips) -> tuple[Owned, Owned]:

@@ -115,6 +115,17 @@ def matrix_to_euler(matrix: Tensor, axes: str) -> Tensor:
     return torch.stack([first, second, third], dim=-1)
 
 
+def product(a: Tensor, b: Tensor) -> Tensor:
+    """a @ b of many small matrices, a [... 3 3] and b [... 3 K].
+
+    On a graphics card element by element: kernels for products are made for matrices many times as large, and take
+    several times as long.
+    """
+    if a.device.type == "cpu":
+        return a @ b
+    return (a[..., None] * b[..., None, :, :]).sum(-2)
+
+
 def heading(matrix: Tensor) -> Tensor:
     """Yaw about world y, in radians, of a body orientation [... 3 3] -> [...].
 

@@ -8,6 +8,7 @@ import torch
 from torch import Tensor
 
 from renderers.checks import check_shapes
+from renderers.rotations import product
 
 JOINT_NAMES = (
     "pelvis", "left_hip", "right_hip", "spine1", "left_knee", "right_knee", "spine2", "left_ankle", "right_ankle",
@@ -67,10 +68,10 @@ def forward_kinematics(rotations: Tensor, root: Tensor, rest_joints: Tensor) -> 
     first, *levels = rotations.split([len(level) for level in LEVELS], dim=-3)
     world = [first]
     for places, turns in zip(tree.places, levels, strict=True):
-        world.append(world[-1].index_select(-3, places) @ turns)
+        world.append(product(world[-1].index_select(-3, places), turns))
     world = torch.cat(world, dim=-3)
     bones = (rest_joints - rest_joints.index_select(0, tree.parents))[..., None]
-    turned = (world.index_select(-3, tree.parents) @ bones)[..., 0]
+    turned = product(world.index_select(-3, tree.parents), bones)[..., 0]
     return root[..., None, :] + (turned.mT @ tree.below.to(turned)).mT, world
 
 

@@ -87,7 +87,9 @@ def test_a_look_and_its_gradient(rest_joints):
         trace.loss.backward()
         found.append((trace.composed.pictures.cpu(), trace.loss.cpu(), moved.grad.cpu()))
     (pictures, loss, pull), (pictures_there, loss_there, pull_there) = found
-    torch.testing.assert_close(pictures_there, pictures, atol=1e-4, rtol=0)
+    # A vertex that is rounded otherwise may take a level outline past a scan, in a pixel or two.
+    difference = (pictures_there - pictures).abs()
+    assert difference.max() < 0.02 and difference.mean() < 1e-6
     torch.testing.assert_close(loss_there, loss, rtol=1e-4, atol=0)
     assert (pull_there - pull).norm() < 1e-2 * pull.norm()
 
