@@ -90,14 +90,15 @@ def cut(motion: Motion, start: float = 0.0, seconds: float | None = None) -> Mot
         UserError: it begins or ends outside the clip, or holds no frame.
     """
     first = round(start * motion.fps) if math.isfinite(start) else -1
-    asked = motion.seconds - start if seconds is None else seconds
-    count = round(asked * motion.fps) if math.isfinite(asked) else 0
     if first < 0 or first >= len(motion):
         problem = f"lasts {motion.seconds:.4g} s, a start at {start:g} s was asked for"
         raise UserError(motion.source, problem, "start inside the clip")
+    if seconds is None:
+        return crop(motion, first, len(motion))
+    count = round(seconds * motion.fps) if math.isfinite(seconds) else 0
     if count < 1 or first + count > len(motion):
         left = (len(motion) - first) / motion.fps
-        problem = f"has {left:.4g} s from {start:g} s on, {asked:g} s were asked for"
+        problem = f"has {left:.4g} s from {start:g} s on, {seconds:g} s were asked for"
         raise UserError(motion.source, problem, f"ask for at most {left:.4g}")
     return crop(motion, first, first + count)
 

@@ -175,6 +175,13 @@ def test_a_stretch_is_cut_at_the_nearest_frames(generator):
             cut(motion, start, seconds)
 
 
+def test_from_any_start_a_cut_goes_to_the_last_frame():
+    for frames, fps in ((29, 30.0), (30, 29.97), (91, 24.0), (100, 119.88)):
+        motion = Motion(torch.eye(3).expand(frames, 24, 3, 3), torch.arange(3.0 * frames).reshape(frames, 3), fps)
+        for half in range(2 * frames - 2):
+            assert torch.equal(cut(motion, half / 2 / fps).root[-1], motion.root[-1]), (fps, half)
+
+
 def test_in_place_takes_out_the_travel_alone(generator):
     rotations = axis_angle_to_matrix(torch.randn(5, 24, 3, generator=generator))
     motion = Motion(rotations, torch.randn(5, 3, generator=generator), 30.0)
