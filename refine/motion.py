@@ -129,6 +129,13 @@ def resample(motion: Motion, fps: float) -> Motion:
     return replace(motion, rotations=rotations, root=root, fps=fps)
 
 
+def lies(motion: Motion) -> bool:
+    """Whether the body lies along z in more than nine frames of ten, as all do that are read with y up for z or z for
+    y. Someone who sleeps that way lies as well."""
+    along = motion.rotations[:, 0, 2, 1].abs()  # z of where the pelvis' own y points
+    return bool((along > 0.7).float().mean() > 0.9)
+
+
 def canonicalise(motion: Motion) -> Motion:
     """Turned and moved so that the first frame faces +z and stands at x = z = 0; heights and later turns are kept.
 

@@ -73,11 +73,15 @@ class ImportData:
             say(f"refine: and {len(done.refused) - NAMED:,} more, {len(done.refused):,} in all")
         if done.unlabelled:
             say(f"refine: left out {done.unlabelled:,} files that {self.labels_file} does not name")
+        if done.lying:
+            clips = "1 clip lies" if done.lying == 1 else f"{done.lying:,} clips lie"
+            say(f"refine: {clips} from beginning to end; if it is another axis that is up, give --up y or --up z")
         lines = [f"{count:5d}  {label}" for label, count in done.labels.items()]
         lines.append(f"{self.out}  {done.clips:,} clips, {done.frames:,} frames")
         values = {"clips": done.clips, "frames": done.frames, "labels": done.labels, "files_read": done.files}
         refused = [str(error) for error in done.refused]
-        return Result("\n".join(lines), (self.out,), values | {"left_out": refused, "unlabelled": done.unlabelled})
+        values |= {"left_out": refused, "unlabelled": done.unlabelled, "lying": done.lying}
+        return Result("\n".join(lines), (self.out,), values)
 
 
 @dataclass(frozen=True)

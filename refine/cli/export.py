@@ -69,15 +69,18 @@ class Export:
     output: Printed = AS_LINES
 
     def run(self) -> Result:
-        from refine.cli.inputs import body_of, output_path, output_suffix
+        from refine.cli.inputs import body_of, output_path, output_suffix, say
         from refine.formats.files import Reading
-        from refine.motion import crop
+        from refine.motion import crop, lies
 
         suffix = f".{self.format}" if self.format else output_suffix(self.out)
         self.check(suffix)
         body = body_of(self.body, "full")
         reading = Reading(self.unit, self.source_fps, self.mapping, self.up)
-        motions = [self.changed(motion) for motion in motions_of(self.motions, body, reading, self.seed)]
+        motions = motions_of(self.motions, body, reading, self.seed)
+        for motion in filter(lies, motions):
+            say(f"refine: {motion.source} lies from beginning to end; if another axis is up, give --up y or --up z")
+        motions = [self.changed(motion) for motion in motions]
         if suffix == ".obj" and not self.format:
             motions = [crop(motion, 0, 1) for motion in motions]
         values = {

@@ -2,8 +2,7 @@
 
 On disk z is up and a standing figure whose root is turned by 90 degrees about x faces -y; inside y is up and it faces
 +z. The two frames differ by one rotation about x and nothing else, so left stays left (protocol A.5). Files that look
-like AMASS's but have y up are read as such only where that is said; `looks_turned` tells them by their bodies, which
-lie on their faces otherwise.
+like AMASS's but have y up are read as such only where that is said; their bodies lie on their faces otherwise.
 
 ``trans`` is SMPL's translation: the pelvis joint, in the frame of the file, less its position in SMPL's own T-pose,
 whose origin is near the chest. That position is taken from SMPL's mean body whatever the body here, so that heights are
@@ -122,13 +121,6 @@ def write_amass(path: str | Path, motion: Motion, model: str | None = None) -> N
         arrays |= dict(zip(parts, np.split(poses, ends, axis=1), strict=True))
     with replacing(path) as partial, partial.open("wb") as stream:
         np.savez_compressed(stream, **arrays)
-
-
-def looks_turned(motion: Motion) -> bool:
-    """Whether a motion read with z up is likely one with y up: its body lies face down or on its back, head towards
-    what was y, in almost every frame."""
-    head = motion.rotations[:, 0, :, 1]  # where the pelvis's own y points
-    return bool((head[:, 2] < -0.7).float().mean() > 0.9)
 
 
 def _rate(path: str | Path, arrays: dict[str, np.ndarray], fps: float | None) -> float:

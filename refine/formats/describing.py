@@ -6,7 +6,6 @@ from pathlib import Path
 
 from torch import Tensor
 
-from refine.formats.amass import looks_turned
 from refine.formats.asf_amc import CMU_FPS, read_amc
 from refine.formats.bvh import Bvh, read_bvh, world
 from refine.formats.clips import is_packed
@@ -15,7 +14,7 @@ from refine.formats.glb_read import read_takes
 from refine.formats.joints import read_joints
 from refine.formats.untrusted import kind_of
 from refine.mapping import Mapping, mapping_of, read_mapping, thinned
-from refine.motion import Motion
+from refine.motion import Motion, lies
 from refine.oddities import Oddity
 from refine.retarget import retarget
 from renderers.skeleton import JOINTS, PARENTS
@@ -115,7 +114,7 @@ def _glb(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     reading = replace(reading, up=reading.up or "y")
     file, motions, bones = _of_skeletons("GLB", [take.bvh for take in takes], rest_joints, reading)
     labelled = [replace(motion, label=take.label) for motion, take in zip(motions, takes, strict=True)]
-    return replace(file, unit="m", unit_by=BY_FORMAT), labelled, bones
+    return replace(file, unit="m", unit_by=BY_FORMAT, notes=(*file.notes, *_turned(motions, file.up))), labelled, bones
 
 
 def _of_skeletons(kind: str, skeletons: list[Bvh], rest_joints: Tensor, reading: Reading) -> Described:
@@ -127,13 +126,18 @@ def _of_skeletons(kind: str, skeletons: list[Bvh], rest_joints: Tensor, reading:
     return file, [retarget(bvh, rest_joints, mapping) for bvh in skeletons], bones_of(skeletons[0], mapping)
 
 
+def _turned(motions: list[Motion], up: str) -> tuple[str, ...]:
+    """A note on motions that were read with ``up`` by their format, or because someone said so."""
+    other = "y" if up == "z" else "z"
+    return (f"it lies: likely {other} is up in it; then read it with --up {other}",) if all(map(lies, motions)) else ()
+
+
 def _npz(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     motions = load_motions(path, rest_joints, reading)
     if is_packed(path):
         return File(kind="packed clips"), motions, {}
-    notes = ("it lies: likely y is up in it; then read it with --up y",) if looks_turned(motions[0]) else ()
     up = reading.up or "z"
-    return File(kind="AMASS-style .npz", up=up, notes=notes if up == "z" else ()), motions, {}
+    return File(kind="AMASS-style .npz", up=up, notes=_turned(motions, up)), motions, {}
 
 
 def _npy(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
@@ -141,8 +145,10 @@ def _npy(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     notes = [f"rotations are fitted to its joints, {1000 * fit.error:.0f} mm off on average"]
     if fit.swapped:
         notes.append("its feet pointed backwards: left and right were exchanged")
-    about = {"up": reading.up or "y", "unit": f"{fit.scale:.4g} m", "unit_by": "by the length of the legs"}
-    return File(kind="joints .npy", skeleton="positions", notes=tuple(notes), **about), [fit.motion], {}
+    up = reading.up or "y"
+    about = {"up": up, "unit": f"{fit.scale:.4g} m", "unit_by": "by the length of the legs"}
+    notes = (*notes, *_turned([fit.motion], up))
+    return File(kind="joints .npy", skeleton="positions", notes=notes, **about), [fit.motion], {}
 
 
 def _pickle(path: Path, rest_joints: Tensor, reading: Reading) -> Described:

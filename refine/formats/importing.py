@@ -22,7 +22,7 @@ from refine.formats.clips import FRAME_BYTES, MAX_BYTES, Packed, Shards, pack, s
 from refine.formats.files import Reading, load_motions
 from refine.formats.finding import Job, Plan, plan, sources_in
 from refine.formats.labels import Row
-from refine.motion import Motion, crop
+from refine.motion import Motion, crop, lies
 from refine.workers import Failure, in_order, suitable
 from renderers.checks import UserError, check_known
 from renderers.outputs import replacing_folder
@@ -64,6 +64,7 @@ class Summary:
     refused: list[UserError]
     files: int  # that were read
     unlabelled: int = 0  # files that the labels file does not name
+    lying: int = 0  # clips in which the body lies, see `refine.motion.lies`
 
 
 class Read(NamedTuple):
@@ -71,6 +72,7 @@ class Read(NamedTuple):
 
     clips: list[Motion] | list[Packed]
     refused: list[UserError]
+    lying: int = 0  # how many of them, see `refine.motion.lies`
 
 
 def read_job(job: Job, rest_joints: Tensor, config: ImportConfig) -> Read:
@@ -91,13 +93,13 @@ def read_job(job: Job, rest_joints: Tensor, config: ImportConfig) -> Read:
         else:
             pieces, wrong = _pieces(motion, source, job.rows, config.labels_file)
             clips, refused = clips + pieces, refused + wrong
-    return Read(clips, refused)
+    return Read(clips, refused, sum(map(lies, clips)))
 
 
 def read_packed(job: Job, rest_joints: Tensor, config: ImportConfig) -> Read:
     """`read_job` in the form in which clips travel between processes and lie on disk."""
-    clips, refused = read_job(job, rest_joints, config)
-    return Read([pack(clip) for clip in clips], refused)
+    read = read_job(job, rest_joints, config)
+    return read._replace(clips=[pack(clip) for clip in read.clips])
 
 
 def _pieces(
@@ -204,7 +206,7 @@ def import_clips(
                 _check(source, planned, tally, config)
                 shards.close([(_relative(error.where, source), error.problem) for error in tally.refused])
     labels = dict(sorted(tally.labels.items()))
-    return Summary(labels, tally.clips, tally.frames, tally.refused, len(planned.jobs), planned.unlabelled)
+    return Summary(labels, tally.clips, tally.frames, tally.refused, len(planned.jobs), planned.unlabelled, tally.lying)
 
 
 class _Tally:
@@ -214,12 +216,13 @@ class _Tally:
         self.refused, self.wanted = list(refused), wanted
         self.met: set[str] = set()  # labels, wanted or not
         self.labels: Counter[str] = Counter()
-        self.clips = self.frames = 0
+        self.clips = self.frames = self.lying = 0
         self.seen: dict[bytes, str] = {}
 
     def taken(self, reads: Iterable[Read]) -> Iterator[Packed]:
         for read in reads:
             self.refused += read.refused
+            before = self.clips
             for clip in read.clips:
                 self.met.add(clip.label)
                 if self.wanted and clip.label not in self.wanted:
@@ -233,6 +236,7 @@ class _Tally:
                 self.clips += 1
                 self.frames += clip.frames
                 yield clip
+            self.lying += min(read.lying, self.clips - before)
 
 
 def _digest(clip: Packed) -> bytes:

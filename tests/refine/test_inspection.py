@@ -5,6 +5,7 @@ import json
 from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -84,12 +85,16 @@ def test_what_is_said_of_a_file_is_believed(tmp_path, act, rest_joints):
 def test_a_file_with_another_axis_up_is_noted(tmp_path, act, rest_joints):
     write_amass(tmp_path / "y.npz", act("walk"))
     noted = inspect(tmp_path / "y.npz", rest_joints, InspectConfig(Reading(up="y"))).files[0]
-    assert noted.notes == () and "wrong up axis" in {o.name for o in noted.clips[0].oddities}
+    assert noted.notes == ("it lies: likely z is up in it; then read it with --up z",)
+    assert "wrong up axis" in {o.name for o in noted.clips[0].oddities}
     from refine.formats.amass import read_amass
 
     fallen = read_amass(tmp_path / "y.npz", "y")  # what a file with y up looks like when it is read with z up
     write_amass(tmp_path / "fallen.npz", replace(fallen, rotations=upright(fallen)))
     assert inspect(tmp_path / "fallen.npz", rest_joints).files[0].notes[0].startswith("it lies: likely y is up")
+    np.save(tmp_path / "z.npy", act("walk").joints(rest_joints)[..., [0, 2, 1]] * torch.tensor([1.0, -1.0, 1.0]))
+    assert inspect(tmp_path / "z.npy", rest_joints).files[0].notes[-1].startswith("it lies: likely z is up")
+    assert len(inspect(tmp_path / "z.npy", rest_joints, InspectConfig(Reading(up="z"))).files[0].notes) == 1
 
 
 def upright(motion: Motion) -> torch.Tensor:

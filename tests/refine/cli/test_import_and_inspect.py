@@ -6,8 +6,10 @@ import signal
 import subprocess
 import sys
 import time
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 import torch
 
@@ -56,6 +58,26 @@ def test_import_into_a_folder(folder, tmp_path, capsys):
     found = json.loads(capsys.readouterr().out)
     assert found["verb"] == "data import" and found["files"] == [str(out)]
     assert (found["clips"], found["frames"], found["labels"]) == (2, 40, {"first": 1, "second": 1})
+
+
+def test_bodies_that_lie_are_said(tmp_path, walk, rest_joints, capsys):
+    """As a file is read with z up that has y up, or the other way round."""
+    folder, out = tmp_path / "in", tmp_path / "out.npz"
+    write_amass(folder / "walk_01.npz", walk)
+    write_amass(folder / "walk_02.npz", replace(walk, fps=60.0))
+    write_bvh(folder / "step_01.bvh", walk, rest_joints)
+    np.save(folder / "hop_01.npy", walk.joints(rest_joints))
+    words = ["data", "import", str(folder), "-o", str(out), "--force"]
+    assert main(words) == 0 and capsys.readouterr().err == ""
+    assert main([*words, "--up", "y"]) == 0
+    said = "lie from beginning to end; if it is another axis that is up, give --up y or --up z\n"
+    assert capsys.readouterr().err == f"refine: 2 clips {said}"
+    assert main([*words, "--up", "z", "--labels", "hop"]) == 0
+    assert capsys.readouterr().err == f"refine: 1 clip {said.replace('lie', 'lies', 1)}"
+    assert main([*words, "--up", "z", "--labels", "walk"]) == 0 and capsys.readouterr().err == ""
+    words = ["export", str(folder / "walk_01.npz"), "-o", str(tmp_path / "out.bvh"), "--force"]
+    assert main(words) == 0 and capsys.readouterr().err == ""
+    assert main([*words, "--up", "y"]) == 0 and "walk_01.npz lies from beginning" in capsys.readouterr().err
 
 
 def test_a_broken_file_is_said_and_skipped(folder, tmp_path, capsys):

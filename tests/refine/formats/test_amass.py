@@ -6,9 +6,9 @@ import numpy as np
 import pytest
 import torch
 
-from refine.formats.amass import PELVIS, looks_turned, read_amass, write_amass
+from refine.formats.amass import PELVIS, read_amass, write_amass
 from refine.formats.files import Reading, load_motion
-from refine.motion import Motion
+from refine.motion import Motion, lies
 from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix, matrix_to_axis_angle, rotation_about
 from renderers.skeleton import JOINTS, forward_kinematics
@@ -255,16 +255,16 @@ def test_y_up_is_read_where_it_is_said(tmp_path, standing, rest_joints):
     assert joints[0, JOINTS["head"], 1] > joints[0, 0, 1] + 0.4
     torch.testing.assert_close(motion.rotations[:, 0], torch.eye(3).repeat(3, 1, 1), atol=1e-6, rtol=0)
     torch.testing.assert_close(motion.root[2] - motion.root[0], torch.tensor([0.0, 0, 1]), atol=1e-6, rtol=0)
-    assert not looks_turned(motion) and looks_turned(read_amass(path))
+    assert not lies(motion) and lies(read_amass(path))
 
 
 def test_standing_and_lying_people_are_told_from_turned_files(tmp_path, standing):
     path = saved(tmp_path, standing)
-    assert not looks_turned(read_amass(path))
+    assert not lies(read_amass(path))
     lying = standing["poses"].copy()
     lying[:, 0], lying[:, 1] = 0, math.pi / 2  # on its side, head along y of the file: the same, but for the rest
     lying[1:, :3] = [math.pi / 2, 0, 0]
-    assert not looks_turned(read_amass(saved(tmp_path, {**standing, "poses": lying})))
+    assert not lies(read_amass(saved(tmp_path, {**standing, "poses": lying})))
 
 
 def test_a_rate_that_is_missing_may_be_said(tmp_path, standing, rest_joints):
