@@ -1,6 +1,7 @@
 """The Motion value: one clip of one body, and the plain operations on it."""
 
 import math
+import re
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -12,6 +13,8 @@ from renderers.rotations import heading, matrix_from_6d, matrix_to_6d, rotation_
 from renderers.skeleton import JOINT_NAMES, MIRRORED, forward_kinematics
 
 LONGEST_LABEL = 1000  # characters
+SIDE = re.compile(r"(?<![A-Za-z])(left|Left|LEFT|right|Right|RIGHT)(?![a-z])")
+EXCHANGED = {"left": "right", "Left": "Right", "LEFT": "RIGHT", "right": "left", "Right": "Left", "RIGHT": "LEFT"}
 
 
 @dataclass(frozen=True, eq=False)
@@ -148,11 +151,20 @@ def canonicalise(motion: Motion) -> Motion:
     return replace(motion, rotations=rotations, root=(motion.root - start) @ turn.mT)
 
 
+def other_side(name: str) -> str:
+    """A name with the words left and right exchanged.
+
+    >>> other_side("wave-left-hand"), other_side("Right turn, upright")
+    ('wave-right-hand', 'Left turn, upright')
+    """
+    return re.sub(SIDE, lambda word: EXCHANGED[word[0]], name)
+
+
 def mirror(motion: Motion) -> Motion:
-    """Left and right exchanged (reflection in the plane x = 0)."""
+    """Left and right exchanged (reflection in the plane x = 0), in the label as well."""
     flip = motion.root.new_tensor([-1.0, 1.0, 1.0])
     rotations = flip[:, None] * motion.rotations[:, list(MIRRORED)] * flip
-    return replace(motion, rotations=rotations, root=motion.root * flip)
+    return replace(motion, rotations=rotations, root=motion.root * flip, label=other_side(motion.label))
 
 
 def to_features(six: Tensor, root: Tensor) -> Tensor:

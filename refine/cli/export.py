@@ -49,7 +49,7 @@ class Export:
     fps: float | None = None
     """Frame rate to resample to: rotations by slerp, places linearly."""
     mirror: bool = False
-    """Exchange left and right."""
+    """Exchange left and right, also in labels and in the names of files in a folder."""
     in_place: bool = False
     """Take out the travel; height and turns stay."""
     unit: Literal["m", "cm", "mm", "in"] | None = None
@@ -90,7 +90,7 @@ class Export:
             ]
         }
         if self.format:
-            files = write_folder(self.out, motions, body, suffix)
+            files = write_folder(self.out, motions, body, suffix, self.mirror)
         else:
             if len(motions) > 1 and suffix != ".glb":
                 problem = f"{len(motions)} motions do not go into one {suffix} file"
@@ -184,7 +184,9 @@ def write_picture(path: Path, motion: "Motion", body: "Body", suffix: str) -> No
     (save_gif if suffix == ".gif" else save_mp4)(path, [picture for [picture] in moments], fps)
 
 
-def write_folder(out: Path, motions: list["Motion"], body: "Body", suffix: str) -> tuple[Path, ...]:
+def write_folder(
+    out: Path, motions: list["Motion"], body: "Body", suffix: str, mirrored: bool = False
+) -> tuple[Path, ...]:
     """A file for each motion, of .obj a folder with one for each frame; what was written, in the motions' order.
 
     The frames of a single motion lie in the folder itself.
@@ -194,7 +196,8 @@ def write_folder(out: Path, motions: list["Motion"], body: "Body", suffix: str) 
     from renderers.outputs import replacing_folder
 
     meshes = suffix == ".obj"
-    names = ["."] if meshes and len(motions) == 1 else [name + suffix * (not meshes) for name in stems(motions)]
+    named = [name + suffix * (not meshes) for name in stems(motions, mirrored)]
+    names = ["."] if meshes and len(motions) == 1 else named
     steps = sum(map(len, motions)) if meshes else len(motions)
     with replacing_folder(out) as partial, bar(steps, "export") as progress:
         for name, motion in zip(names, motions, strict=True):
@@ -207,14 +210,19 @@ def write_folder(out: Path, motions: list["Motion"], body: "Body", suffix: str) 
     return tuple(out / name for name in names)
 
 
-def stems(motions: list["Motion"]) -> list[str]:
-    """A file name for each motion, from its file or else its label; names that are taken are numbered."""
+def stems(motions: list["Motion"], mirrored: bool = False) -> list[str]:
+    """A file name for each motion, from its file or else its label; names that are taken are numbered.
+
+    Labels are read from file names, so a mirrored motion's names the other side than the file that it came from.
+    """
     from refine.cli.generate import file_stem
+    from refine.motion import other_side
 
     found: list[str] = []
     for motion in motions:
         source = Path(motion.source)
-        name = file_stem(source.stem if source.suffix else motion.label or motion.source) or "motion"
+        stem = other_side(source.stem) if mirrored else source.stem
+        name = file_stem(stem if source.suffix else motion.label or motion.source) or "motion"
         numbered = (f"{name}_{number:03d}" for number in range(2, len(motions) + 2))
         found.append(name if name not in found else next(one for one in numbered if one not in found))
     return found

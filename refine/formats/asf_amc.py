@@ -71,7 +71,7 @@ def read_amc(path: str | Path, fps: float | None = None, unit: str | None = None
         ends=tuple(ends),
         rotations=rotations,
         positions=positions * scale,
-        fps=fps or CMU_FPS,
+        fps=CMU_FPS if fps is None else fps,
         unit=unit,
         source=str(path),
     )

@@ -105,7 +105,7 @@ def _bvh(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
 
 def _amc(path: Path, rest_joints: Tensor, reading: Reading) -> Described:
     file, motions, bones = _of_skeletons("AMC", [read_amc(path, reading.fps, reading.unit)], rest_joints, reading)
-    assumed = () if reading.fps else (f"it does not say its frame rate: taken for {CMU_FPS:g} fps",)
+    assumed = () if reading.fps is not None else (f"it does not say its frame rate: taken for {CMU_FPS:g} fps",)
     return replace(file, notes=(*file.notes, *assumed)), motions, bones
 
 

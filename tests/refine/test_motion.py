@@ -1,6 +1,7 @@
 """The Motion value and the plain operations on it (protocol A.4, B.4 no. 24, G.7, G.8, G.15)."""
 
 import math
+from dataclasses import replace
 
 import pytest
 import torch
@@ -137,6 +138,21 @@ def test_mirror_reflects_the_joints(motion, rest_joints):
     expected = motion.joints(rest)[:, list(MIRRORED)] * torch.tensor([-1.0, 1.0, 1.0])
     torch.testing.assert_close(mirror(motion).joints(rest), expected)
     torch.testing.assert_close(mirror(mirror(motion)).rotations, motion.rotations)
+
+
+@pytest.mark.parametrize(
+    ("label", "mirrored"),
+    [
+        ("wave-left-hand", "wave-right-hand"),
+        ("turn_right 02", "turn_left 02"),
+        ("leftHand to Right", "rightHand to Left"),
+        ("standing upright, bright leftover", "standing upright, bright leftover"),
+        ("", ""),
+    ],
+)
+def test_mirror_exchanges_the_sides_in_the_label(motion, label, mirrored):
+    assert mirror(replace(motion, label=label)).label == mirrored
+    assert mirror(mirror(replace(motion, label=label))).label == label
 
 
 def test_features_are_actors(motion):

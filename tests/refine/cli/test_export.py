@@ -108,6 +108,18 @@ def test_several_motions_go_into_a_folder_or_one_glb(export, walk, tmp_path, res
     assert code == 2 and "2 motions do not go into one .bvh file; add --format bvh" in error
 
 
+def test_mirrored_files_name_the_other_side(export, tmp_path, rest_joints):
+    both = ("wave-left-hand", "left-kicking")
+    out = tmp_path / "mirrored"
+    assert export("-o", str(out), "--format", "glb", "--mirror", motions=both)[0] == 0
+    names = ["wave-right-hand", "right-kicking"]
+    assert sorted(path.stem for path in out.iterdir()) == sorted(names)
+    assert [load_motion(out / f"{name}.glb", rest_joints).label for name in names] == names
+    again = tmp_path / "again"  # now from files
+    assert export("-o", str(again), "--format", "bvh", "--mirror", motions=(str(out / "*.glb"),))[0] == 0
+    assert sorted(path.name for path in again.iterdir()) == ["left-kicking.bvh", "wave-left-hand.bvh"]
+
+
 def test_meshes_of_one_motion_lie_in_the_folder_and_of_several_in_folders(export, walk, tmp_path):
     frames = [f"frame_{frame:05d}.obj" for frame in range(3)]
     words = ("--format", "obj", "--seconds", "0.1", "--json")

@@ -268,3 +268,10 @@ def test_a_loop_hangs_nowhere(tmp_path, rest_joints):
     (tmp_path / "01.asf").write_text(text + ":hierarchy\nbegin\nlfemur ltibia\nltibia lfemur\nend\n")
     with pytest.raises(UserError, match="says of no bone that it hangs from the root"):
         read_amc(path)
+
+
+def test_a_rate_that_is_said_is_the_rate_even_if_it_is_none(tmp_path, rest_joints):
+    path = Figure(rest_joints).write(tmp_path)
+    assert load_motion(path, rest_joints, Reading(fps=60.0)).fps == 60.0
+    with pytest.raises(UserError, match="frame rate 0.0 is not a number of frames per second"):
+        load_motion(path, rest_joints, Reading(fps=0.0))
