@@ -46,8 +46,8 @@ def test_the_overhead_is_the_ratio_of_medians_and_is_paid_at_every_nth_step(trai
 def test_the_paper_s_batch_is_cut_where_there_is_no_gpu(training):
     paper = GENERATOR_PRESETS["paper"][1]
     on_cpu, on_gpu = (training.prepared(paper, device) for device in ("cpu", "cuda"))
-    assert (on_gpu.batch, on_gpu.loss.decoupling_clips) == (800, 64)
-    assert (on_cpu.batch, on_cpu.loss.decoupling_clips) == (25, 2)
+    assert (on_gpu.batch, on_gpu.loss.decoupling_clips) == (800, 128)
+    assert (on_cpu.batch, on_cpu.loss.decoupling_clips) == (25, 4)
     assert on_cpu.network == on_gpu.network == paper.network
 
 
