@@ -18,6 +18,8 @@ from refine.joint_names import NEEDED
 from refine.rest_pose import (
     AXES,
     STANDS,
+    TO_Y_UP,
+    Poses,
     axis_of,
     body_up,
     moving,
@@ -144,14 +146,14 @@ def mapping_of(bvh: Bvh) -> Mapping:
     Raises:
         UserError: it is no body, or none that can be made out; the message says why.
     """
+    rest = zero_pose(bvh)
     if known := recognise(bvh):
         joints = _indices(bvh, known.joints)
-        up = up_axis(moving(thinned(bvh, 32)), joints, "y")
+        up = up_axis(moving(thinned(bvh, 32)), joints, _told(rest, joints))
         return _described(bvh, known.name, joints, up, ZERO_POSE, 1.0, _notes(up))
-    rest, motion = zero_pose(bvh), moving(thinned(bvh))
+    motion = moving(thinned(bvh))
     joints, skeleton, confidence, notes = find_joints(bvh, rest, motion)
-    stands = standing(rest.points, joints)[0].item()
-    told = axis_of(body_up(rest.points, joints)[0]) if stands > STANDS else None
+    stands, told = standing(rest.points, joints)[0].item(), _told(rest, joints)
     up = up_axis(motion, joints, told)
     check_human(bvh, joints, motion, up, stands)
     notes = [*notes, *_notes(up)]
@@ -185,10 +187,37 @@ def skeleton_of(bvh: Bvh, mapping: Mapping, ours: Tensor) -> Skeleton:
     return Skeleton(mapping.skeleton, found, _between(found), mapping.skeleton != "SMPL", mapping.up)
 
 
+def _told(rest: Poses, joints: dict[str, int]) -> str | None:
+    """The axis along which a zero pose stands, if it does."""
+    stands = standing(rest.points, joints)[0] > STANDS
+    return axis_of(body_up(rest.points, joints)[0]) if stands else None
+
+
 def recognise(bvh: Bvh) -> Skeleton | None:
-    """The skeleton that is known to the frame of each joint and whose joints the file has, if there is one."""
+    """The skeleton that is known to the frame of each joint and whose joints the file has, if there is one.
+
+    Programs in which another axis is up write it with all its frames turned, which is seen and turned as well.
+    """
     names = set(bvh.names)
-    return next((known for known in SKELETONS if set(known.joints.values()) <= names and _fits(bvh, known)), None)
+    for known in SKELETONS:
+        if set(known.joints.values()) <= names:
+            for frames in (known, *(_turned(known, up) for up in TO_Y_UP if up != "y")):
+                if _fits(bvh, frames):
+                    return frames
+    return None
+
+
+def _turned(known: Skeleton, up: str) -> Skeleton:
+    """A skeleton as it is where that axis is up and not y."""
+    back = torch.tensor(TO_Y_UP[up], dtype=torch.float64).mT
+
+    def turned(vector: tuple[float, float, float]) -> tuple[float, ...]:
+        return tuple((back @ torch.tensor(vector, dtype=back.dtype)).tolist())
+
+    places = {
+        name: replace(place, up=turned(place.up), forward=turned(place.forward)) for name, place in known.places.items()
+    }
+    return replace(known, places=places)
 
 
 def _fits(bvh: Bvh, known: Skeleton) -> bool:
@@ -204,6 +233,13 @@ def _fits(bvh: Bvh, known: Skeleton) -> bool:
         expected = {"hip": -axes["up"], "knee": -axes["up"], "ankle": axes["forward"] - 0.5 * axes["up"]}
         ours = expected.get(start.partition("_")[2], side * left)
         if theirs.any() and theirs @ normalize(ours, dim=0) < 0.5:
+            return False
+    # Bones along one axis fit however they are turned about it, as by a program in which another axis is up.
+    for trunk, pair in (("pelvis", "hip"), ("spine3", "collar")):
+        place = known.places[trunk]
+        left = torch.linalg.cross(torch.tensor(place.up).to(mean), torch.tensor(place.forward).to(mean))
+        ends = (mean[bvh.names.index(known.places[f"{side}_{pair}"].joint)] for side in SIDES)
+        if normalize(torch.sub(*ends), dim=0) @ left < 0.5:
             return False
     return True
 

@@ -15,7 +15,7 @@ from torch import Tensor
 from torch.nn.functional import normalize
 
 from refine.formats.bvh import Bvh, motion_to_bvh, read_bvh, world
-from refine.mapping import recognise
+from refine.mapping import mapping_of, recognise
 from refine.motion import Motion, canonicalise
 from refine.retarget import retarget
 from refine.skeletons import BANDAI_NAMCO, SMPL
@@ -241,6 +241,38 @@ def test_skeletons_are_recognised(clips, rest_joints):
     bvh = motion_to_bvh(one, rest_joints)
     assert recognise(bvh) is SMPL
     assert recognise(replace(bvh, names=("Hips", *bvh.names[1:]))) is None
+
+
+def in_other_axes(bvh: Bvh, turn: Tensor) -> Bvh:
+    """As a program writes it that takes it into its own axes and back out in these, such as Blender."""
+    return replace(
+        bvh,
+        offsets=bvh.offsets @ turn.mT,
+        rotations=turn @ bvh.rotations @ turn.mT,
+        positions=bvh.positions @ turn.mT,
+        ends=tuple((joint, tuple((turn @ turn.new_tensor(end)).tolist())) for joint, end in bvh.ends),
+    )
+
+
+@pytest.mark.parametrize(("up", "degrees"), [("z", 90.0), ("-z", -90.0), ("-y", 180.0)])
+def test_skeletons_are_recognised_where_another_axis_is_up(clips, up, degrees, rest_joints):
+    """Bones of a heap along one axis look the same however they are turned about it; runs seldom stand straight."""
+    turn = rotation_about("x", torch.tensor(math.radians(degrees), dtype=torch.float64))
+    runs = [clip for clip in clips if "_run_" in clip.name or "_dash_" in clip.name]
+    assert runs
+    for clip in (clips[0], clips[-1], *runs[:4]):
+        for bvh in (
+            in_other_axes(clip.bvh, turn),
+            replace(  # or the root alone carries it
+                clip.bvh,
+                rotations=torch.cat([turn @ clip.bvh.rotations[:, :1], clip.bvh.rotations[:, 1:]], dim=1),
+                positions=torch.cat([clip.bvh.positions[:, :1] @ turn.mT, clip.bvh.positions[:, 1:]], dim=1),
+            ),
+        ):
+            mapping = mapping_of(bvh)
+            assert (mapping.skeleton, mapping.up) == ("Bandai-Namco", up), clip.name
+            joints = retarget(bvh, rest_joints).joints(rest_joints)
+            torch.testing.assert_close(joints, clip.joints, atol=1e-4, rtol=0)
 
 
 def test_a_bone_without_length_is_refused(rest_joints):
