@@ -116,6 +116,8 @@ class Export:
         if suffix == ".obj" and not self.format and self.seconds is not None:
             problem = f"is one mesh, and --seconds {self.seconds:g} asks for many"
             raise UserError(self.out, problem, "leave it out, or name a folder and add --format obj")
+        if self.fps is not None and not 0 < self.fps < 10_000:
+            raise UserError("--fps", f"expected a positive frame rate, got {self.fps:g}", "give frames per second")
         if suffix in SUFFIXES:
             check_suffix(f"x{suffix}")
         if self.format:

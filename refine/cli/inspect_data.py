@@ -1,6 +1,6 @@
 """``refine data inspect``: what motion files are, and what is odd about them."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -48,7 +48,7 @@ class InspectData:
 
         from tqdm import tqdm
 
-        from refine.cli.inputs import bar, body_of, input_path
+        from refine.cli.inputs import STDIN, bar, body_of, input_path
         from refine.formats.files import Reading
         from refine.inspection import InspectConfig, inspect
         from refine.inspection_report import PAGE, SHOWN, lines, write_report
@@ -64,6 +64,8 @@ class InspectData:
         written = []
         with input_path(self.source) as path:
             found = inspect(path, body.rest_joints, InspectConfig(reading, self.workers), progress)
+            if self.source == STDIN:
+                found = replace(found, source="standard input")
             if self.mapping:
                 mapped = next((file.mapping for file in found.files if file.mapping), None)
                 if mapped is None:

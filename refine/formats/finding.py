@@ -13,7 +13,7 @@ from refine.formats.motion_json import FORMAT
 from refine.formats.motion_json import MAX_BYTES as MAX_JSON
 from refine.formats.untrusted import START, opened
 from refine.motion import Motion
-from renderers.checks import UserError
+from renderers.checks import UserError, printable
 
 
 class Job(NamedTuple):
@@ -127,7 +127,7 @@ def _name(path: Path, folder: Path) -> str:
 def sources_in(job: Job, motions: list[Motion]) -> list[str]:
     """What the clips of a file are called: as the file, where it holds one; else by their own names in it."""
     inner = [motion.source.removeprefix(f"{job.path.name}/") for motion in motions]
-    if inner == [str(job.path)]:
+    if inner == [printable(str(job.path))]:  # as a motion has it
         return [job.source]
     if len(set(inner)) < len(inner):
         inner = [f"{index:04d}" for index in range(len(inner))]

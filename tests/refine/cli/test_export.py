@@ -164,7 +164,7 @@ def test_standard_input_and_output(walk, monkeypatch, capsysbinary):
         (("-o", "a.bvh", "--start", "2"), "lasts 2 s, a start at 2 s was asked for"),
         (("-o", "a.bvh", "--start", "-1"), "a start at -1 s was asked for"),
         (("-o", "a.bvh", "--seconds", "nan"), "nan s were asked for"),
-        (("-o", "a.bvh", "--fps", "0"), "expected a positive frame rate"),
+        (("-o", "a.bvh", "--fps", "0"), "--fps: expected a positive frame rate, got 0; give"),
         (("-o", "a.fbx"), "is written by Blender, and BPY_PYTHON does not say where that is"),
     ],
 )

@@ -151,6 +151,26 @@ def test_inspect_a_file(folder, tmp_path, capsys):
     assert json.loads(capsys.readouterr().out)["files"] == []
 
 
+def test_names_of_files_with_characters_that_are_not_printed(tmp_path, walk, rest_joints, capsys):
+    """Such as the space of Japanese; and where the folder lies is not told."""
+    folder = tmp_path / "in"
+    for name in ("walk\u3000on_01", "step\n_02"):
+        write_bvh(folder / f"{name}.bvh", walk, rest_joints)
+    assert main(["data", "import", str(folder), "-o", str(tmp_path / "out.npz")]) == 0
+    clips = load_clips(tmp_path / "out.npz")
+    assert [(clip.label, clip.source) for clip in clips] == [
+        ("step", "step\\n_02.bvh"),
+        ("walk\\u3000on", "walk\\u3000on_01.bvh"),
+    ]
+
+
+def test_inspect_standard_input(folder, monkeypatch, capsys):
+    with (folder / "walk_01.bvh").open() as stream:
+        monkeypatch.setattr(sys, "stdin", stream)
+        assert main(["data", "inspect", "-"]) == 0
+    assert capsys.readouterr().out.startswith("what        standard input: BVH\n")
+
+
 def test_inspect_a_folder_draws_and_says_as_json(folder, tmp_path, capsys):
     out = tmp_path / "look"
     assert main(["data", "inspect", str(folder), "-o", str(out), "--json"]) == 0
