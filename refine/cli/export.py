@@ -1,5 +1,6 @@
 """``refine export``: motions in any format that others read."""
 
+from collections import Counter
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -213,7 +214,8 @@ def write_folder(
 
 
 def stems(motions: list["Motion"], mirrored: bool = False) -> list[str]:
-    """A file name for each motion, from its file or else its label; names that are taken are numbered.
+    """A file name for each motion, from its file, or from its label where it shares the file or has none; names that
+    are taken are numbered.
 
     Labels are read from file names, so a mirrored motion's names the other side than the file that it came from.
     """
@@ -221,10 +223,13 @@ def stems(motions: list["Motion"], mirrored: bool = False) -> list[str]:
     from refine.motion import other_side
 
     found: list[str] = []
+    held = Counter((motion.source, motion.label) for motion in motions)
+    labels = Counter(source for source, _ in held)  # how many different ones a file has
     for motion in motions:
         source = Path(motion.source)
         stem = other_side(source.stem) if mirrored else source.stem
-        name = file_stem(stem if source.suffix else motion.label or motion.source) or "motion"
+        own = source.suffix and (labels[motion.source] == 1 or not motion.label)
+        name = file_stem(stem if own else motion.label or motion.source) or "motion"
         numbered = (f"{name}_{number:03d}" for number in range(2, len(motions) + 2))
         found.append(name if name not in found else next(one for one in numbered if one not in found))
     return found

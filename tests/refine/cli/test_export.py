@@ -104,6 +104,9 @@ def test_several_motions_go_into_a_folder_or_one_glb(export, walk, tmp_path, res
     assert sorted(path.name for path in (tmp_path / "f").iterdir()) == names
     assert export("-o", str(tmp_path / "a.glb"), motions=both)[0] == 0
     assert [motion.label for motion in load_motions(tmp_path / "a.glb", rest_joints)] == ["walk", "wave-both-hands"]
+    # Out of one file, they go by their labels, which a .bvh keeps in its name alone.
+    assert export("-o", str(tmp_path / "b"), "--format", "bvh", motions=(str(tmp_path / "a.glb"),))[0] == 0
+    assert sorted(path.name for path in (tmp_path / "b").iterdir()) == ["walk.bvh", "wave-both-hands.bvh"]
     code, _, error = export("-o", str(tmp_path / "a.bvh"), motions=both)
     assert code == 2 and "2 motions do not go into one .bvh file; add --format bvh" in error
 
