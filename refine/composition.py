@@ -8,7 +8,7 @@ import torch
 
 from refine.coupling import Coupling, CouplingConfig, couple
 from refine.decoupling import Decoupler, Trace
-from refine.motion import Motion, crop, resample
+from refine.motion import Motion, resample, trimmed
 from refine.refinement import RefinementConfig, refine_motion
 from refine.seeing import Clips
 
@@ -28,6 +28,8 @@ class Composition:
     """Loss terms of each refinement step."""
     made: Literal["coupled", "refined", "given"] = "refined"
     """What ``motion`` is: the coupled motion itself, refined from it, or another motion that was given."""
+    owners: dict[str, str] | None = None
+    """Where it was composed by parts: each body part, and the label of the action that it comes from."""
 
     def motions(self) -> dict[str, Motion]:
         """The coupled motion, and what was made of it if anything was, by name."""
@@ -61,16 +63,26 @@ def compose(
     """
     i, j = aligned(i, j)
     coupled = couple(i, j, decoupler.body.rest_joints, lam, coupling)
-    refined = refine_motion(coupled.motion, i, j, decoupler, refinement, progress)
-    made = "refined" if refined.history else "coupled"
-    return Composition(i, j, coupled, refined.motion, refined.before, refined.after, refined.history, made)
+    return refined(i, j, coupled, decoupler, refinement, progress)
 
 
-def aligned(i: Motion, j: Motion) -> tuple[Motion, Motion]:
-    """Both clips from their first frame, at i's frame rate, as long as the shorter."""
-    j = resample(j, i.fps)
-    frames = min(len(i), len(j))
-    return crop(i, 0, frames), crop(j, 0, frames)
+def refined(
+    i: Motion,
+    j: Motion,
+    coupled: Coupling,
+    decoupler: Decoupler,
+    refinement: RefinementConfig | None = None,
+    progress: Callable[[int, dict[str, float]], None] | None = None,
+) -> Composition:
+    """Refine what has been coupled, in whatever way, from two aligned clips."""
+    result = refine_motion(coupled.motion, i, j, decoupler, refinement, progress)
+    made = "refined" if result.history else "coupled"
+    return Composition(i, j, coupled, result.motion, result.before, result.after, result.history, made)
+
+
+def aligned(first: Motion, *others: Motion, centred: bool = False) -> list[Motion]:
+    """All at the first one's frame rate and as long as the shortest: from their first frames, or their middles."""
+    return trimmed([first, *(resample(other, first.fps) for other in others)], centred)
 
 
 def judge(motion: Motion, i: Motion, j: Motion, decoupler: Decoupler) -> Trace:

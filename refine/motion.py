@@ -2,6 +2,7 @@
 
 import math
 import re
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -82,6 +83,13 @@ def crop(motion: Motion, start: int, stop: int) -> Motion:
     if not 0 <= start < stop <= len(motion):
         raise UserError(motion.source, f"has {len(motion)} frames, {start} to {stop} asked for", "choose frames inside")
     return replace(motion, rotations=motion.rotations[start:stop], root=motion.root[start:stop])
+
+
+def trimmed(motions: Sequence[Motion], centred: bool = False) -> list[Motion]:
+    """All cut to as many frames as the shortest has: from their first frames on, or their middles."""
+    frames = min(map(len, motions))
+    starts = [(len(motion) - frames) // 2 if centred else 0 for motion in motions]
+    return [crop(motion, start, start + frames) for motion, start in zip(motions, starts, strict=True)]
 
 
 def cut(motion: Motion, start: float = 0.0, seconds: float | None = None) -> Motion:

@@ -20,14 +20,18 @@ from renderers.skeleton import PARTS
 
 UNIT = "mean squared joint step relative to the pelvis, m² per frame²"
 INTRODUCTION = (
-    "Two actions were put into one motion: the two as they were given, their blend by energies (coupled), and what "
-    "was made of it."
+    "Two actions were put into one motion: the two as they were given, their {blend} (coupled), and what was made of "
+    "it."
 )
 LOSS = (
     "The smaller, the better each action is recognised in pictures of the motion: the mean over all frames and views "
     "of the squared difference between the action's own picture and the composition's, completed by a network that has "
     "only seen single actions. The chart, if there was a refinement, shows the terms that it lowered: decoupling is "
     "this loss in the frames drawn at that step; the others hold the motion near its start, smooth, and its feet down."
+)
+OWNERS = (
+    "Composed by parts: the action that is about the most parts is the base, the others take theirs from it. Global is "
+    "travel and global orientation, which go with the legs."
 )
 SEEN = (
     "The stages of the loss for a few moments, read from left to right. Each row asks whether one of the actions can "
@@ -46,6 +50,8 @@ def measure(composition: Composition) -> dict[str, Any]:
         "energies": {"unit": UNIT, "i": by_part(coupling.energies_i), "j": by_part(coupling.energies_j)},
         "share_of_i": {**by_part(coupling.weights), "root": round(float(coupling.weights[0]), 6)},
     }
+    if composition.owners:
+        report["owners"] = dict(composition.owners)
     if traces := composition.traces():
         report["decoupling_loss"] = {name: losses(trace) for name, trace in traces.items()}
     if composition.history:
@@ -90,7 +96,9 @@ def write_report(
     for name, picture in pictures.items():
         save_png(folder / f"{name}.png", picture)
     (folder / "report.json").write_text(json.dumps(report, indent=2) + "\n")
-    page = composition_page(composition, body, INTRODUCTION, sections(report, folder, list(pictures)))
+    blend = "composition by body parts" if composition.owners else "blend by energies"
+    introduction = INTRODUCTION.format(blend=blend)
+    page = composition_page(composition, body, introduction, sections(report, folder, list(pictures)))
     (folder / "report.html").write_text(page, encoding="utf-8")
     return report
 
@@ -117,6 +125,7 @@ def sections(report: dict[str, Any], folder: Path, pictures: list[str]) -> str:
 {table(("part", f"energy of {i}", f"energy of {j}", f"share of {i}"), energy_rows(report))}
 <p>Energy: {html.escape(UNIT)}. Coupling blends the rotations of each part by these shares; travel and global
 orientation follow the root's.</p>
+{owners_section(report)}
 {loss_section(report, i, j) + figures.get("loss", "")}
 {f"<h2>What the loop saw</h2><p>{html.escape(SEEN)}</p>" + stages if stages else ""}
 <details><summary>report.json</summary><pre>{html.escape(json.dumps(report, indent=2))}</pre></details>
@@ -129,6 +138,14 @@ def energy_rows(report: dict[str, Any]) -> list[tuple[str, ...]]:
         (part.replace("_", " "), f"{of_i[part]:.2e}", f"{of_j[part]:.2e}", f"{shares[part]:.0%}") for part in PARTS
     ]
     return [*parts, ("root", "", "", f"{shares['root']:.0%}")]
+
+
+def owners_section(report: dict[str, Any]) -> str:
+    """Which action each part comes from, as a table; empty where energies were blended."""
+    if "owners" not in report:
+        return ""
+    rows = [(part, html.escape(action)) for part, action in report["owners"].items()]
+    return f"<h2>Who owns which part</h2>{table(('part', 'comes whole from'), rows)}<p>{OWNERS}</p>"
 
 
 def loss_section(report: dict[str, Any], i: str, j: str) -> str:

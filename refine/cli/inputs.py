@@ -173,17 +173,24 @@ def check_lam(lam: float) -> None:
         raise UserError("--lam", f"expected a weight between 0 and 1, got {lam}")
 
 
-def pair_of(first: str, second: str, rest_joints: "Tensor", seed: int) -> tuple["Motion", "Motion"]:
-    """Two clips, aligned; a change of frame rate is said."""
+def clips_of(names: Sequence[str], rest_joints: "Tensor", seed: int, centred: bool = False) -> list["Motion"]:
+    """Clips, aligned as by ``refine.composition.aligned``; a change of frame rate is said."""
     from refine.composition import aligned
 
-    i, j = clip_of(first, rest_joints, seed), clip_of(second, rest_joints, seed + 1)
-    if i.fps != j.fps:
-        say(f"refine: {second} has {j.fps:g} fps, resampled to the {i.fps:g} fps of {first}")
-    for clip in (i, j):
+    clips = [clip_of(name, rest_joints, seed + number) for number, name in enumerate(names)]
+    for name, clip in zip(names, clips, strict=True):
+        if clip.fps != clips[0].fps:
+            say(f"refine: {name} has {clip.fps:g} fps, resampled to the {clips[0].fps:g} fps of {names[0]}")
+    for clip in clips:
         if len(clip) < 2:
             raise UserError(clip.source, "has a single frame, which holds no motion", "give at least two frames")
-    return aligned(i, j)
+    return aligned(*clips, centred=centred)
+
+
+def pair_of(first: str, second: str, rest_joints: "Tensor", seed: int) -> tuple["Motion", "Motion"]:
+    """``clips_of`` two, from their first frames."""
+    i, j = clips_of((first, second), rest_joints, seed)
+    return i, j
 
 
 def judge_of(body: "Body", mae: Path | None = None) -> "Decoupler":
