@@ -5,6 +5,7 @@ a single action, and the difference to that sub-action's own picture is the loss
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Literal, NamedTuple
 
@@ -101,9 +102,10 @@ def at_once(values: Tensor) -> int:
     return CHUNK if values.device.type == "cpu" else CHUNK_ON_CARD
 
 
-def take_frames(values: Tensor, frames: Tensor) -> Tensor:
-    """values [B T ...], frames [B K] -> [B K ...]."""
-    return values[torch.arange(len(frames), device=frames.device)[:, None], frames]
+def frames_of(clips: Clips, frames: Tensor) -> Clips:
+    """The frames [B K] of motions as one batch: rotations [B*K 24 3 3], root [B*K 3]."""
+    clip = torch.arange(len(frames), device=frames.device)[:, None]
+    return Clips(*(value[clip, frames].flatten(0, 1) for value in clips))
 
 
 def take(camera: Camera, index: Tensor) -> Camera:
@@ -181,37 +183,43 @@ class Decoupler(nn.Module):
     def see(self, clips: Clips, frames: Tensor, cameras: list[Camera]) -> Seen:
         """Draw the frames [B K] of motions in every view, by one camera or one for each motion; differentiable in the
         motions."""
-        check_shapes(
-            "Decoupler.see",
-            rotations=(clips.rotations, "B T 24 3 3"),
-            root=(clips.root, "B T 3"),
-            frames=(frames, "B K"),
-        )
-        rotations, root = (take_frames(value, frames) for value in pin(clips, self.config.pinned))
-        clip = torch.arange(len(frames)).repeat_interleave(frames.shape[1])
-        flat = (rotations.flatten(0, 1), root.flatten(0, 1), clip)
-        bodies = zip(*(value.split(at_once(root)) for value in flat), strict=True)
-        mesh = self.mesh.to(root.device)
-        channels = self.mae.config.channels
+        return self.see_each([clips], frames, cameras)[0]
+
+    def see_each(self, motions: Sequence[Clips], frames: Tensor, cameras: list[Camera]) -> list[Seen]:
+        """``see`` of several batches of motions, drawn together: on a graphics card a call costs more than what it
+        draws. Their lengths may differ."""
+        for clips in motions:
+            check_shapes(
+                "Decoupler.see",
+                rotations=(clips.rotations, "B T 24 3 3"),
+                root=(clips.root, "B T 3"),
+                frames=(frames, "B K"),
+            )
+        posed = joined(*(frames_of(pin(clips, self.config.pinned), frames) for clips in motions))
+        clip = torch.arange(len(frames)).repeat_interleave(frames.shape[1]).repeat(len(motions))
+        bodies = zip(*(value.split(at_once(posed.root)) for value in (*posed, clip)), strict=True)
+        mesh, channels = self.mesh.to(posed.root.device), self.mae.config.channels
         seen = [
             draw(self.body, mesh, *some, [take(camera, of) for camera in cameras], self.config.pinned, channels)
             for *some, of in bodies
         ]
-        return Seen(*(torch.cat(values) for values in zip(*seen, strict=True)))
+        pictures = frames.numel() * len(cameras)
+        whole = joined(*seen)
+        return [rows_of(whole, slice(n * pictures, (n + 1) * pictures)) for n in range(len(motions))]
 
     @torch.no_grad()
     def references(self, i: Clips, j: Clips, frames: Tensor, cameras: list[Camera]) -> tuple[Reference, Reference]:
         """Draw the sub-actions and measure their energies; the part of Eq. 7 that is constant."""
-        both = joined(i, j)
-        energies = joint_energies(energy_signal(*both, self.body.rest_joints))
-        owned = joined(*self.ownership(i, j))
         pictures_of_clip = frames.shape[1] * len(cameras)
-        energies, *owned = (
-            value.to(energies.device).repeat_interleave(pictures_of_clip, 0) for value in (energies, *owned)
-        )
-        seen = self.see(both, frames.repeat(2, 1), [one.repeat(2) for one in cameras])
-        references, half = Reference(seen, energies, Owned(*owned)), len(energies) // 2
-        return rows_of(references, slice(half)), rows_of(references, slice(half, None))
+        references = []
+        for clips, owned, seen in zip(
+            (i, j), self.ownership(i, j), self.see_each((i, j), frames, cameras), strict=True
+        ):
+            energies = joint_energies(energy_signal(*clips, self.body.rest_joints))
+            per_clip = (energies, *(value.to(energies.device) for value in owned))
+            energies, *owned = (value.repeat_interleave(pictures_of_clip, 0) for value in per_clip)
+            references.append(Reference(seen, energies, Owned(*owned)))
+        return tuple(references)
 
     def ownership(self, i: Clips, j: Clips) -> tuple[Owned, Owned]:
         """What each sub-action owns of its B pairs' channels."""

@@ -58,10 +58,6 @@ class Camera:
     def to(self, device: torch.device | str | None = None, dtype: torch.dtype | None = None) -> "Camera":
         return replace(self, **{name: getattr(self, name).to(device=device, dtype=dtype) for name in _TENSORS})
 
-    def repeat(self, times: int) -> "Camera":
-        """All cameras, so many times over; a single one serves any number as it is."""
-        return self if len(self) == 1 else cat([self] * times)
-
     def project(self, points: Tensor) -> Tensor:
         """World points [N P 3] in metres -> pixels [N P 2] (x, y).
 

@@ -330,3 +330,14 @@ def test_refusals(body, mae):
                 Decoupler(body, whole, replace(PLAIN, **change))
     with pytest.raises(ShapeError, match="frames"):
         Decoupler(body, mae, PLAIN)(clips(0), clips(1), clips(2), FRAMES[:1])
+
+
+def test_sub_actions_may_differ_in_length(body, mae):
+    """What is asked about a sub-action does not hang on the other's frames after those that are drawn."""
+    decoupler, i, j = Decoupler(body, mae, PLAIN), clips(1), clips(2)
+    cameras = decoupler.cameras(i, j)
+    longer = Clips(*(torch.cat([value, value], dim=1) for value in j))
+    same, other = (decoupler.references(i, each, FRAMES, cameras) for each in (j, longer))
+    for one, two in zip(same, other, strict=True):
+        assert torch.equal(one.seen.pictures, two.seen.pictures)
+    assert torch.equal(same[0].energies, other[0].energies)
