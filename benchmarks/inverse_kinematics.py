@@ -25,9 +25,9 @@ from tqdm import tqdm
 from refine import synthetic
 from refine.formats.files import load_motion
 from refine.intervals import mean_interval
-from refine.inverse_kinematics import fit_joints
-from refine.joint_layouts import KIT_LAYOUT, SMPL_LAYOUT
 from refine.motion import Motion
+from refine.positions.inverse_kinematics import fit_joints
+from refine.positions.joint_layouts import KIT_LAYOUT, SMPL_LAYOUT
 from renderers.body import Body
 from renderers.rotations import rotation_angle
 from renderers.skeleton import JOINT_NAMES, JOINTS, PARENTS, forward_kinematics

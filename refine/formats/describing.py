@@ -13,10 +13,10 @@ from refine.formats.files import Reading, label_from_name, load_motions
 from refine.formats.glb_read import read_takes
 from refine.formats.joints import read_joints
 from refine.formats.untrusted import kind_of
-from refine.mapping import Mapping, mapping_of, read_mapping, thinned
 from refine.motion import Motion, lies
 from refine.oddities import Oddity
-from refine.retarget import retarget
+from refine.skeletons.mapping import Mapping, mapping_of, read_mapping, thinned
+from refine.skeletons.retarget import retarget
 from renderers.skeleton import JOINTS, PARENTS
 
 LOOKED_AT = 64  # frames by which the lengths of bones are measured

@@ -19,9 +19,9 @@ from refine.formats.glb_read import read_glb
 from refine.formats.joints import read_joints, write_joints
 from refine.formats.motion_json import read_motion_json, write_motion_json
 from refine.formats.untrusted import kind_of
-from refine.mapping import mapping_of, read_mapping
 from refine.motion import Motion
-from refine.retarget import retarget
+from refine.skeletons.mapping import mapping_of, read_mapping
+from refine.skeletons.retarget import retarget
 from renderers.body import Body
 from renderers.checks import UserError
 from renderers.outputs import refuse_existing

@@ -24,7 +24,7 @@ from refine.formats.gltf import REMEDY, Gltf, read_gltf, shown
 from refine.formats.gltf_curves import Curve, read_curves
 from refine.formats.gltf_rig import Rig, pose, read_rig
 from refine.motion import Motion
-from refine.retarget import retarget
+from refine.skeletons.retarget import retarget
 from renderers.checks import UserError, check_finite
 from renderers.rotations import matrix_from_6d, matrix_to_6d
 

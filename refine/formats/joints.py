@@ -17,9 +17,9 @@ import torch
 from torch import Tensor
 
 from refine.formats.npz import read_npy
-from refine.inverse_kinematics import Fit, fit_joints
-from refine.joint_layouts import LAYOUTS
 from refine.motion import Motion
+from refine.positions.inverse_kinematics import Fit, fit_joints
+from refine.positions.joint_layouts import LAYOUTS
 from renderers.body import Body
 from renderers.checks import UserError, check_finite, check_known, check_shapes
 from renderers.outputs import replacing

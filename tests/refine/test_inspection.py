@@ -16,8 +16,8 @@ from refine.formats.describing import bones_of, describe
 from refine.formats.files import Reading, save_motion
 from refine.inspection import InspectConfig, inspect
 from refine.inspection_report import PAGE, SHEET, VALUES, chosen, lines, write_report
-from refine.mapping import mapping_of
 from refine.motion import Motion
+from refine.skeletons.mapping import mapping_of
 from refine.synthetic import draw, perform
 from renderers.checks import UserError
 

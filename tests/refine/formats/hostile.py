@@ -54,7 +54,7 @@ def readers() -> dict[str, Callable[[Path], object]]:
     from refine.formats.smpl import load_body
     from refine.formats.untrusted import read_json
     from refine.mae import load_mae
-    from refine.mapping import read_mapping
+    from refine.skeletons.mapping import read_mapping
     from renderers.body import Body
 
     rest = Body.free("light").rest_joints

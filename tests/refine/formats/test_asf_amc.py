@@ -9,7 +9,7 @@ import torch
 from refine.formats.asf_amc import CMU_FPS, asf_beside, read_amc
 from refine.formats.bvh import bvh_text, read_bvh, world
 from refine.formats.files import Reading, load_motion
-from refine.mapping import mapping_of
+from refine.skeletons.mapping import mapping_of
 from renderers.checks import UserError
 from renderers.skeleton import JOINTS
 

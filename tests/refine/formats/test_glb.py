@@ -11,7 +11,7 @@ from gltf_by_hand import Judge
 from refine.formats.bvh import read_bvh
 from refine.formats.glb import GENERATOR, heaviest, write_glb
 from refine.motion import Motion
-from refine.retarget import retarget
+from refine.skeletons.retarget import retarget
 from refine.synthetic import draw, perform
 from renderers.body import Body
 from renderers.checks import UserError

@@ -23,7 +23,7 @@ from refine.formats.glb import write_glb
 from refine.formats.glb_read import read_glb, read_takes
 from refine.formats.gltf_rig import pose
 from refine.motion import Motion
-from refine.retarget import retarget
+from refine.skeletons.retarget import retarget
 from refine.synthetic import ACTIONS, draw, perform
 from renderers.checks import UserError
 from renderers.rotations import axis_angle_to_matrix, rotation_about

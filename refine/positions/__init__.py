@@ -1,0 +1,1 @@
+"""Rotations behind positions of joints: inverse kinematics in closed form."""
