@@ -14,6 +14,7 @@ from refine.refinement import RefinementConfig
 from refine.report import losses, measure, write_report
 from refine.stages import STAGES, answers_for, stage_sheet, stage_sheets
 from refine.synthetic import draw, perform
+from refine.text.parts import BODY_PARTS
 from renderers.body import Body
 from renderers.images import enlarged, part_picture
 from renderers.skeleton import PART_NAMES
@@ -121,3 +122,13 @@ def test_the_folder_holds_one_self_contained_page(composition, body, tmp_path):
     assert re.findall(r'(?:src|href)="(?!data:)', page) == []
     assert all(f"{loss['total']:.6f}" in page for loss in report["decoupling_loss"].values())
     assert "share of walk" in page
+
+
+def test_the_report_of_parts_says_who_owns_which(composition, body, tmp_path):
+    owners = {part: "drink" if part == "left arm" else "walk <fast>" for part in BODY_PARTS}
+    report = write_report(tmp_path, replace(composition, owners=owners), body, frames=1)
+    assert report["owners"] == owners
+    page = (tmp_path / "report.html").read_text()
+    assert "<tr><th>left arm<td>drink" in page and "<tr><th>torso<td>walk &lt;fast&gt;" in page
+    assert "composition by body parts" in page and "blend by energies" not in page
+    assert "owners" not in measure(composition)
