@@ -187,11 +187,9 @@ class LossCard {
         drawn("text", { x: left - 8, y: y(10 ** power) + 4, "text-anchor": "end" }, `10${superscript(power)}`),
       );
     }
-    for (let k = 0; k <= 4; k++) {
-      const step = Math.round(((steps - 1) * k) / 4);
-      svg.append(
-        drawn("text", { x: x(step), y: height - 8, "text-anchor": k === 4 ? "end" : k ? "middle" : "start" }, step + 1),
-      );
+    for (const step of new Set([0, 1, 2, 3, 4].map((k) => Math.round(((steps - 1) * k) / 4)))) {
+      const anchor = step === steps - 1 ? "end" : step ? "middle" : "start";
+      svg.append(drawn("text", { x: x(step), y: height - 8, "text-anchor": anchor }, step + 1));
     }
     names.forEach((name, k) => {
       let pen = "M";
@@ -260,7 +258,7 @@ function numbersTable(table, clips) {
     const further = units.map((name) => (name in clip.numbers ? plainly(clip.numbers[name]) : ""));
     const name = element("th", { scope: "row" }, clip.name);
     if (clip.role && clip.label) name.append(" ", element("small", {}, clip.role));
-    const values = [clip.frames, +clip.fps.toFixed(3), clip.seconds.toFixed(2), ...further];
+    const values = [clip.frames, +clip.fps.toFixed(3), (clip.frames / clip.fps).toFixed(2), ...further];
     return element("tr", {}, name, ...values.map((value) => element("td", {}, String(value))));
   });
   table.append(element("thead", {}, element("tr", {}, element("td"), ...heads)), element("tbody", {}, ...rows));

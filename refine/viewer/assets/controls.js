@@ -138,7 +138,7 @@ class Controls {
 
 // The motions' names and numbers over their panels; a click shows one alone.
 function namePanels(viewer, panels) {
-  const buttons = panels.flatMap(({ clips, left, top }) =>
+  const buttons = panels.flatMap(({ clips, left, top, width }) =>
     clips.map((clip, k) => {
       const [pressed, title] = [
         viewer.only === clip.index,
@@ -150,6 +150,7 @@ function namePanels(viewer, panels) {
       if (clip.role && clip.label) button.append(element("small", {}, clip.role));
       if (viewer.overlaid) button.style.setProperty("--dot", EACH[clip.index % EACH.length]);
       button.style.left = `${100 * left}%`;
+      button.style.maxWidth = `calc(${100 * width}% - 1.4rem)`;
       button.style.top = `calc(${100 * top}% + ${2.4 * k}rem)`;
       button.addEventListener("click", () => viewer.solo(clip.index));
       return button;

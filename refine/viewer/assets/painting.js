@@ -9,7 +9,8 @@ const PARTS = {
 };
 const HEAD = "#e5c29f"; // of neck and head, which belong to the torso otherwise
 const HEAT = ["#efe3cf", "#fcd28b", "#f58f5c", "#c8446b", "#5c2a72"];
-const EACH = ["#d1495b", "#00798c", "#edae49", "#7b6fd0", "#66a182", "#5b7fa6"]; // of motions laid over one another
+// Of motions laid over one another.
+const EACH = ["#d1495b", "#00798c", "#edae49", "#7b6fd0", "#66a182", "#5b7fa6", "#d98bb5", "#8f6a4e", "#b3bf3f"];
 const PAPER = "#f7f5f0"; // of the loop's pictures
 const [BRIGHT, DARK] = [
   [0.95, 0.95, 0.92],

@@ -16,6 +16,7 @@ class Viewer {
     }
     this.seconds = 0;
     this.duration = Math.max(...this.clips.map((clip) => clip.seconds));
+    this.longest = this.clips.find((clip) => clip.seconds === this.duration);
     this.greatest = Math.max(0.3, ...this.clips.map((clip) => greatestOf(clip.speeds)));
     Object.assign(this, { playing: false, looping: true, rate: 1, last: 0 });
     Object.assign(this, { only: -1, overlaid: false, following: true, colours: "parts", bones: false, cameras: false });
@@ -45,7 +46,7 @@ class Viewer {
 
   // The motion whose frames are counted.
   get counted() {
-    return this.clips[Math.max(0, this.only)];
+    return this.clips[this.only] ?? this.longest;
   }
 
   get frame() {

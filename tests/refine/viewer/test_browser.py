@@ -253,6 +253,8 @@ def test_a_composition_shows_what_the_loop_saw(opened, small_composition, free_b
         'url("data'
     )
     assert browser.run("return document.querySelectorAll('#loss path.curve').length") >= 3
+    steps = "return [...document.querySelectorAll('#loss text')].map((it) => it.textContent).slice(-3)"
+    assert browser.run(steps) == ["1", "2", "3"]
     without = stage(browser)
     browser.keys("v")
     assert differing(without, stage(browser)) > 1000
@@ -269,6 +271,35 @@ def test_nine_motions_and_a_single_frame(opened, motions, free_body, tmp_path):
     assert "motion 9" in browser.run("return document.getElementById('names').textContent")
     assert len(np.unique(stage(browser).reshape(-1, 3), axis=0)) > 300
     assert browser.logs("browser") == []
+
+
+def test_motions_of_other_lengths_and_names(opened, motions, free_body, tmp_path):
+    walk, path = motions[0], tmp_path / "lengths.html"
+    short = replace(walk, rotations=walk.rotations[:10], root=walk.root[:10], label="short")
+    names = ["", "a-name-as-long-as-those-of-files-are-" * 4, ""]
+    path.write_text(page([short, short, replace(walk, label="longest")], free_body, names), encoding="utf-8")
+    browser = opened(path)
+    browser.wait("return document.getElementById('frame').textContent === 'frame 16 of 45'")  # of the longest
+    values = "return [...document.querySelectorAll('#numbers tbody tr')].map((row) => row.cells[3].textContent)"
+    assert browser.run(values) == ["0.33", "0.33", "1.50"]
+    spans = browser.run("""
+        const boxes = [...document.querySelectorAll("#names button")].map((it) => it.getBoundingClientRect());
+        return boxes.map((box) => [box.left, box.right]).concat([[innerWidth, 0]]);
+    """)
+    assert all(right < left for (_, right), (left, _) in zip(spans, spans[1:], strict=False))
+    assert browser.run("return document.querySelectorAll('#names button span')[1].clientWidth") > 30
+    table = "return document.querySelector('#numbers tbody th').offsetWidth"
+    assert browser.run(table) < 300
+
+
+def test_nine_motions_laid_over_one_another_have_nine_colours(opened, motions, free_body, tmp_path):
+    path = tmp_path / "over.html"
+    path.write_text(page([replace(motions[0], label="walk")] * 9, free_body), encoding="utf-8")
+    browser = opened(path)
+    browser.keys("o")
+    colours = "[...document.querySelectorAll('#names button')].map((it) => it.style.getPropertyValue('--dot'))"
+    browser.wait(f"return {colours}.every(Boolean)")
+    assert len(set(browser.run(f"return {colours}"))) == 9
 
 
 def test_without_webgl_a_message_and_poses_appear(address):
