@@ -11,6 +11,7 @@ pairs (see refinement.py). The table goes beside the JSON, as Markdown.
 """
 
 import argparse
+import json
 import platform
 import shlex
 import sys
@@ -35,7 +36,7 @@ from refine.mae import MAE, MAEConfig, load_mae
 from refine.motion import Motion
 from refine.refinement import RefinementConfig
 from renderers.body import Body
-from train.checkpoints import commit, save_weights
+from train.checkpoints import commit, replace_file, save_weights
 from train.config import MAE_LOOP, MAETraining
 from train.data import DataConfig, load_clips_for
 from train.mae import drawing, train_mae
@@ -118,6 +119,7 @@ def trained(rung: Rung, settings: Settings, folder: Path) -> Path:
     return train_mae(
         MAETraining(
             out=place,
+            resume=(place / "config.json").exists(),
             data=DataConfig(synthetic_clips=settings.training_clips),
             network=rung.network,
             pictures=rung.pictures,
@@ -127,6 +129,19 @@ def trained(rung: Rung, settings: Settings, folder: Path) -> Path:
             measured=64,
         )
     )
+
+
+def kept(task: tuple[Rung, Settings, Path | None, Path]) -> dict:
+    """``measure``, or what it found before at this commit: a ladder that was stopped goes on."""
+    rung, settings, real, folder = task
+    place = folder / rung.name.replace(" ", "-") / "row.json"
+    asked = json.loads(json.dumps([asdict(rung), asdict(settings), real, commit()], default=str))
+    if place.exists() and (found := json.loads(place.read_text()))["asked"] == asked:
+        return found["row"]
+    row = measure(task)
+    place.parent.mkdir(parents=True, exist_ok=True)
+    replace_file(place, json.dumps({"asked": asked, "row": row}).encode())
+    return row
 
 
 def measure(task: tuple[Rung, Settings, Path | None, Path]) -> dict:
@@ -276,7 +291,7 @@ def climb(rungs: tuple[Rung, ...], settings: Settings, real: Path | None, folder
     tasks = [(rung, settings, real, folder) for rung in order]
     # Fresh processes: one that is forked from a parent with threads may wait for a lock for ever.
     with get_context("spawn").Pool(workers) as pool:
-        rows = list(tqdm(pool.imap(measure, tasks), total=len(tasks), desc="rungs", disable=None))
+        rows = list(tqdm(pool.imap(kept, tasks), total=len(tasks), desc="rungs", disable=None))
     by_name = {row["name"]: row for row in rows}
     return [by_name[rung.name] for rung in rungs]
 
@@ -287,7 +302,7 @@ def main() -> None:
     parser.add_argument("--rungs", nargs="+", choices=[rung.name for rung in RUNGS], help="some of them")
     parser.add_argument("--steps", type=int, help="of training, for every rung")
     parser.add_argument("--real", type=Path, help="folder of Bandai-Namco BVH clips; without it only built-in clips")
-    parser.add_argument("--runs", type=Path, help="keep the trained networks in this folder")
+    parser.add_argument("--runs", type=Path, help="keep networks and rungs here, and go on with those that are there")
     parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path)
     args = parser.parse_args()

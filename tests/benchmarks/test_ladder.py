@@ -63,3 +63,33 @@ def test_the_table_has_a_row_a_rung(ladder, tmp_path, monkeypatch):
     lines = [line for line in text.splitlines() if line.startswith("|")]
     assert [line.split(" | ")[0] for line in lines[2:]] == ["| parts", "| none"]
     assert len({line.count("|") for line in lines}) == 1 and "before refinement: " in text
+
+
+def test_what_was_measured_is_kept_for_the_same_question(ladder, tmp_path, monkeypatch):
+    asked = []
+
+    def measured(task):
+        asked.append(task[0].name)
+        return {"name": task[0].name, "number": len(asked)}
+
+    monkeypatch.setattr(ladder, "measure", measured)
+    rung, settings = ladder.Rung("a rung", TINY), ladder.QUICK
+    first = ladder.kept((rung, settings, tmp_path, tmp_path))
+    assert ladder.kept((rung, settings, tmp_path, tmp_path)) == first and len(asked) == 1
+    for other in (
+        (rung, replace(settings, pairs=3), tmp_path),
+        (rung, settings, None),
+        (replace(rung, share=0.5), settings, None),
+    ):
+        ladder.kept((*other, tmp_path))
+    monkeypatch.setattr(ladder, "commit", lambda: "another")
+    ladder.kept((replace(rung, share=0.5), settings, None, tmp_path))
+    assert len(asked) == 5
+
+
+def test_a_rung_that_is_trained_is_not_trained_again(ladder, tmp_path):
+    settings = replace(ladder.QUICK, steps=4, training_clips=2, batch=2, precision="float32")
+    weights = ladder.trained(ladder.Rung("once", TINY), settings, tmp_path)
+    before = weights.stat().st_mtime_ns
+    assert ladder.trained(ladder.Rung("once", TINY), settings, tmp_path) == weights
+    assert weights.stat().st_mtime_ns == before
