@@ -7,7 +7,7 @@ from typing import Annotated
 from tyro.conf import arg
 
 from refine.cli.results import AS_LINES, Printed, Result
-from renderers.checks import UserError, check_known
+from renderers.checks import UserError
 
 FPS, FILM_FPS, FILM_SIZE = 30.0, 15.0, (300, 250)
 PRINTED_FILES = ("report.html", "motions.png", "film.mp4", "composition.bvh", "report.json")
@@ -42,13 +42,13 @@ class Demo:
 
         import torch
 
-        from refine.cli.inputs import bar, body_of, judge_of, refinement_of
+        from refine.cli.inputs import bar, body_of, check_action, judge_of, refinement_of
         from refine.composition import compose
         from refine.drawing import film
         from refine.formats.files import save_motion
         from refine.metrics import mean_joint_error
         from refine.report import write_report
-        from refine.synthetic import ACTIONS, draw, perform, perform_together
+        from refine.synthetic import draw, perform, perform_together
         from renderers.images import contact_sheet, save_mp4
         from renderers.outputs import refuse_existing, replacing_folder
 
@@ -57,7 +57,7 @@ class Demo:
         config = refinement_of(self.steps, self.seed)
         refuse_existing(self.out, self.force, folder=True)
         for name in self.actions:
-            check_known("--actions", name, ACTIONS)
+            check_action("--actions", name)
         started = time.monotonic()
         body, drawn_body = body_of(None), body_of(None, "full")
         random, frames = torch.Generator().manual_seed(self.seed), round(self.seconds * FPS)

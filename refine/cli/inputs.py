@@ -146,7 +146,6 @@ def clip_of(name: str, rest_joints: "Tensor", seed: int = 0, seconds: float = 4.
         UserError: there is neither; the nearest names are offered. Or the pattern matches several.
     """
     from refine.formats.files import load_motion
-    from refine.synthetic import ACTIONS
 
     paths = expand([name])
     if len(paths) > 1:
@@ -156,8 +155,15 @@ def clip_of(name: str, rest_joints: "Tensor", seed: int = 0, seconds: float = 4.
             return replace(load_motion(path, rest_joints), source="standard input")
     if os.path.lexists(paths[0]) or paths[0].suffix:
         return load_motion(paths[0], rest_joints)
-    check_known("neither a file nor a built-in action", name, ACTIONS)
+    check_action("neither a file nor a built-in action", name)
     return built_in(name, rest_joints, seed, seconds)
+
+
+def check_action(where: str, name: str) -> None:
+    """Refuse what is no built-in action; those that hold the word are offered, such as wave-left-hand for wave."""
+    from refine.synthetic import ACTIONS
+
+    check_known(where, name, [action for action in ACTIONS if name in action] or ACTIONS)
 
 
 def built_in(name: str, rest_joints: "Tensor", seed: int, seconds: float = 4.0, fps: float = 30.0) -> "Motion":

@@ -3,14 +3,18 @@
 What it works with is imported in `main`: Ctrl-C is one line even while that takes its time.
 """
 
+import errno
 import os
 import sys
 from collections.abc import Sequence
+
+FULL = (errno.ENOSPC, errno.EDQUOT, errno.EFBIG)  # where a write finds no room, errors name no file
 
 
 def main(argv: Sequence[str] | None = None) -> int:
     """Run one command: 0 when it is done, 1 when it found what it checks wanting, 2 for what the user can mend, 130
     after Ctrl-C."""
+    open_streams()
     try:
         return run(sys.argv[1:] if argv is None else list(argv))
     except KeyboardInterrupt:
@@ -35,13 +39,28 @@ def run(argv: Sequence[str]) -> int:
     except UserError as error:
         return fail(str(error), 2)
     except BrokenPipeError:  # whoever read our lines has enough of them, as in `refine demo | head -1`
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+        drop_output()
         return 0
     except OSError as error:
+        if error.errno in FULL and error.filename is None:
+            drop_output()
+            return fail(f"the output cannot be written ({error.strerror}); make room, or write elsewhere", 2)
         if error.filename is None:
             raise
         return fail(f"{error.filename}: {error.strerror}", 2)
     return result.code if isinstance(result, Result) else result or 0
+
+
+def open_streams() -> None:
+    """Stand in for standard streams that whoever started us has closed: they are empty, and what they get is lost."""
+    for name, mode in (("stdin", "r"), ("stdout", "w"), ("stderr", "w")):
+        if getattr(sys, name) is None:
+            setattr(sys, name, open(os.devnull, mode))  # noqa: SIM115 - for as long as we run
+
+
+def drop_output() -> None:
+    """Lose what standard output still holds, which Python would try to write once more at its end."""
+    os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def fail(message: str, code: int) -> int:

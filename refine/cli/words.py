@@ -2,6 +2,7 @@
 
 import difflib
 import os
+import re
 import sys
 from collections.abc import Iterable, Sequence
 from contextlib import nullcontext, redirect_stderr, redirect_stdout
@@ -20,6 +21,7 @@ DESCRIPTION = "Compose two human actions into one motion and refine it with a di
 EXIT_CODES = """\
 Exit codes: 0 done; 1 a check found something wanting; 2 something that you can mend, named in one line; 130 stopped by
 Ctrl-C. Results go to stdout; notes, bars and errors to stderr. NO_COLOR=1 takes the colours away."""
+COLOUR = re.compile(r"\x1b\[[\d;]*m")
 STYLE = (FlagCreatePairsOff, CascadeSubcommandArgs, PositionalMetavarFromFieldName)
 
 
@@ -80,9 +82,20 @@ def wrong(argv: Sequence[str], problem: str, remedy: str = "") -> UserError:
 
 def first_of(complaint: str) -> str:
     """In one line what the parser says first, in a box of many lines that a title stands on."""
-    lines = (line.strip("╭╮╰╯│─| ") for line in complaint.splitlines()[1:])
+    plain = COLOUR.sub("", complaint)  # it looks at stdout alone, which may be a terminal
+    lines = (line.strip("╭╮╰╯│─| ") for line in plain.splitlines()[1:])
     lines = dropwhile(lambda line: not line, (line.strip("+-") and line for line in lines))  # without rules
-    return " ".join(takewhile(bool, lines)).rstrip(".") or "cannot be understood"
+    said = " ".join(takewhile(bool, lines)).rstrip(".") or "cannot be understood"
+    return f"needs {' and '.join(needed(plain))}" if said.startswith("Missing from") else said
+
+
+def needed(complaint: str) -> list[str]:
+    """Words and flags that the parser misses: the lines of its box that are set in, less than their descriptions."""
+    lines = [line.strip("│|").rstrip() for line in complaint.splitlines()]
+    insets = [len(line) - len(line.lstrip()) for line in lines]
+    first = next(k for k, line in enumerate(lines) if line.lstrip().startswith("Missing from"))
+    below = takewhile(lambda each: each[1] > insets[first], zip(lines[first + 1 :], insets[first + 1 :], strict=True))
+    return [line.strip().partition(", ")[0] for line, inset in below if inset == insets[first + 1]]
 
 
 def offer(word: str, known: Iterable[str]) -> str:

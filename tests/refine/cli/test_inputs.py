@@ -173,3 +173,37 @@ def test_a_pipe_of_two(walk, tmp_path, rest_joints):
         == 0
     )
     assert (tmp_path / "a.bvh").read_bytes() == done.stdout
+
+
+# --- actions, streams that are closed, and no room -------------------------------------------------------------------
+
+
+def test_actions_that_hold_the_word_are_offered(rest_joints):
+    with pytest.raises(UserError) as refused:
+        clip_of("wave", rest_joints)
+    assert refused.value.remedy == "did you mean wave-left-hand, wave-right-hand, wave-both-hands?"
+
+
+def in_shell(redirected: str, *words: str, folder: Path | None = None) -> subprocess.CompletedProcess:
+    command = ["bash", "-c", redirected, "bash", *PROGRAM, *words]
+    root = {"PYTHONPATH": str(Path(inputs.__file__).parents[2])}
+    return subprocess.run(command, capture_output=True, text=True, cwd=folder, env=os.environ | root)
+
+
+def test_streams_that_are_closed_are_empty_or_lost(tmp_path):
+    assert in_shell('"$@" >&- 2>&-', "completion", "bash").returncode == 0
+    done = in_shell('"$@" <&-', "compose", "-", "walk", "-o", str(tmp_path / "both.bvh"), "--steps", "0")
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert done.stderr.startswith("refine: standard input: is empty")
+
+
+@pytest.mark.skipif(not Path("/dev/full").exists(), reason="there is no /dev/full")
+def test_no_room_is_one_line_and_leaves_nothing(tmp_path):
+    said = "refine: the output cannot be written (No space left on device); make room, or write elsewhere\n"
+    done = in_shell('"$@" > /dev/full', "completion", "bash")
+    assert (done.returncode, done.stderr) == (2, said)
+    words = ("compose", "walk", "squat", "--steps", "0", "-o", "both.bvh")
+    done = in_shell('ulimit -f 8; "$@"', *words, folder=tmp_path)
+    assert (done.returncode, done.stderr.count("\n")) == (2, 1)
+    assert "both.bvh: cannot be written (File too large)" in done.stderr
+    assert list(tmp_path.iterdir()) == []

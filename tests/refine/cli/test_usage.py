@@ -45,7 +45,9 @@ def said_by_help(words: list[str], capsys) -> str:
         ("compose walk squat -o a.bvh --seeed=3", "compose: has no flag --seeed; did you mean --seed"),
         ("train mae tiny --lop.steps 3", "train mae tiny: has no flag --lop.steps; did you mean --loop.steps"),
         ("demo --qqqqq", "demo: has no flag --qqqqq; see `refine demo --help`"),
-        ("compose walk", "compose: Missing from refine compose: B Second clip. (required) -o PATH, --out PATH"),
+        ("compose walk", "compose: needs B and -o PATH; see `refine compose --help`"),
+        ("completion", "completion: needs SHELL; see `refine completion --help`"),
+        ("generate", "generate: needs --actions [STR [STR ...]] and --model PATH and -o PATH; see"),
         ("compose walk squat run -o a.bvh", "compose: Unrecognized options: run; see `refine compose --help`"),
         ("compose walk squat -o a.bvh --seed", "compose: Missing value for argument '--seed'"),
         ("compose walk squat -o a.bvh --seed two", "compose: Error parsing --seed: invalid literal"),
@@ -116,6 +118,12 @@ def test_no_color_takes_the_colours_of_help_away():
     plain = on_a_terminal("demo", "--help", NO_COLOR="1")
     assert "\x1b" not in plain and "--out PATH" in plain
     assert "\x1b" not in on_a_terminal("demoo", NO_COLOR="1")
+
+
+def test_complaints_are_as_plain_on_a_terminal():
+    said = "refine: compose: needs B and -o PATH; see `refine compose --help`"
+    assert on_a_terminal("compose", "walk").strip() == said
+    assert on_a_terminal("compose", "walk", PYTHONIOENCODING="ascii").strip() == said
 
 
 # --- grammar ---------------------------------------------------------------------------------------------------------
