@@ -125,6 +125,10 @@ def parse_mapping(values: Any, source: str = "mapping") -> Mapping:
         check_known(f"{source}, joints", name, JOINT_NAMES)
     if missing := [name for name in REQUIRED if name not in joints]:
         raise UserError(source, f"'joints' lacks {', '.join(missing[:4])}", "a body needs them")
+    of_joint: dict[str, str] = {}
+    for name, joint in joints.items():
+        if (first := of_joint.setdefault(joint, name)) != name:
+            raise UserError(source, f"'joints' has {joint[:60]!r} for {first} and for {name}", "leave one of them out")
     for key, allowed in (("up", tuple(AXES)), ("unit", tuple(UNITS))):
         if values.get(key, allowed[0]) not in allowed:
             raise UserError(source, f"'{key}' is {values[key]!r}", f"known are {', '.join(allowed)}")

@@ -126,6 +126,10 @@ GOOD = {"refine_mapping": 1, "joints": {name: name for name in JOINTS}}
             {"joints": {"pelvis": "Hips"}},
             "'joints' lacks left_hip, right_hip, left_knee, right_knee; a body needs them",
         ),
+        (
+            {"joints": GOOD["joints"] | {"left_hip": "pelvis"}},
+            "'joints' has 'pelvis' for pelvis and for left_hip; leave one of them out",
+        ),
         ({"joints": {"left_kne": "Hips"}}, "unknown name 'left_kne'; did you mean left_knee"),
         ({"up": "up"}, "'up' is 'up'; known are x, -x, y, -y, z, -z"),
         ({"up": ["y"]}, r"'up' is \['y'\]"),
