@@ -57,7 +57,13 @@ def find_graphics_card(about: str) -> Iterator[Finding]:
     if torch.cuda.is_available():
         for index in range(torch.cuda.device_count()):
             card = torch.cuda.get_device_properties(index)
-            torch.ones(8, device=f"cuda:{index}").sum().item()
+            try:
+                torch.ones(8, device=f"cuda:{index}").sum().item()
+            except RuntimeError as error:
+                said = f"{card.name} does not compute ({str(error).strip().partition(chr(10))[0][:200]})"
+                remedy = "install a PyTorch that is built for it, or set CUDA_VISIBLE_DEVICES"
+                yield Finding(about, name, "broken", said, remedy, False)
+                continue
             said = f"{card.name}, {size(card.total_memory)}, CUDA {torch.version.cuda}, driver {driver or 'unknown'}"
             values = {"name": card.name, "memory": card.total_memory, "cuda": torch.version.cuda, "driver": driver}
             yield Finding(about, name, "ok", said, needed=False, values=values)

@@ -185,6 +185,20 @@ def test_why_there_is_no_graphics_card(monkeypatch, cuda, driver, state, words):
     assert words in found.found and found.remedy
 
 
+def test_a_graphics_card_that_fails_is_not_needed(monkeypatch):
+    def fail(*_, **__):
+        raise RuntimeError("CUDA error: no kernel image is available\nfurther lines")
+
+    card = type("Card", (), {"name": "Old Card", "total_memory": 1 << 30})
+    monkeypatch.setattr(torch.cuda, "is_available", lambda: True)
+    monkeypatch.setattr(torch.cuda, "device_count", lambda: 1)
+    monkeypatch.setattr(torch.cuda, "get_device_properties", lambda _: card)
+    monkeypatch.setattr(torch, "ones", fail)
+    found = only(machine.find_graphics_card("machine"))
+    assert (found.state, found.needed) == ("broken", False) and found.remedy
+    assert found.found == "Old Card does not compute (CUDA error: no kernel image is available)"
+
+
 def test_a_full_disk(monkeypatch):
     monkeypatch.setattr(machine.shutil, "disk_usage", lambda _: type("Usage", (), {"free": 10_000})())
     found = only(machine.find_disk("machine"))
