@@ -146,7 +146,7 @@ class Problem(NamedTuple):
         return self.decoupler.compare(seen, tuple(rows_of(reference, rows) for reference in self.references))
 
     def terms(self, shares: Tensor, offsets: Tensor, frames: Tensor, view: int) -> dict[str, Tensor]:
-        """Weighed loss terms; the decoupling loss is drawn for ``frames`` [1 K] in one view."""
+        """Weighted loss terms; the decoupling loss is drawn for ``frames`` [1 K] in one view."""
         config = self.config
         rotations = self.rotations(shares, offsets)
         joints = forward_kinematics(rotations, self.composed.root, self.decoupler.body.rest_joints)[0]

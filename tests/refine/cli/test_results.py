@@ -104,7 +104,8 @@ def test_verbs_print_json_of_what_they_wrote(tmp_path, capsys):
     out = tmp_path / "both.npz"
     assert main([*COUPLE, "-o", str(out), "--json"]) == 0
     printed = json.loads(capsys.readouterr().out)
-    assert printed == {"verb": "compose", "files": [str(out)], "made": "coupled", "frames": 120, "fps": 30.0}
+    made = {"made": "coupled", "by": "energies", "frames": 120, "fps": 30.0}
+    assert printed == {"verb": "compose", "files": [str(out)], **made}
     picture = tmp_path / "a.png"
     assert main(["render", str(out), "-o", str(picture), "--size", "32", "--poses", "1", "--json"]) == 0
     assert json.loads(capsys.readouterr().out)["files"] == [str(picture)]
