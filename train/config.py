@@ -174,7 +174,7 @@ GENERATOR_PRESETS: dict[str, tuple[str, GeneratorTraining]] = {
     "paper": (
         "LFCA's network, batch and rates, for graphics cards.",
         GeneratorTraining(
-            loss=GeneratorLoss(decoupling_clips=128, decoupling_every=2),
+            loss=GeneratorLoss(decoupling_clips=128, decoupling_every=3),
             decoupling=DecouplingConfig(precision="bfloat16"),
             # 1500 epochs of the 14,400 ordered pairs of 120 clips, 800 at a time.
             loop=LoopConfig(steps=27_000, log_every=10, save_every=1000),
