@@ -82,9 +82,22 @@ def test_pictures_run_clip_frame_view(body, mae):
     clip = clips(0, ["left_elbow", "right_knee"])
     every = decoupler.see(clip, FRAMES, decoupler.cameras(clip, clip)).pictures
     side_only = Decoupler(body, mae, replace(PLAIN, views=(90.0,)))
-    alone = Clips(clip.rotations[1:], clip.root[1:])
-    one = side_only.see(alone, torch.tensor([[5]]), side_only.cameras(clip, clip)).pictures
-    assert torch.allclose(every[(1 * 2 + 1) * 2 + 1], one[0], atol=1e-4)
+    cameras = side_only.cameras(clip, clip)
+    for number, frame in ((0, 3), (1, 2), (1, 5)):
+        place = FRAMES[number].tolist().index(frame)
+        one = side_only.see(Clips(*(value[number : number + 1] for value in clip)), torch.tensor([[frame]]), cameras)
+        assert torch.allclose(every[(number * 2 + place) * 2 + 1], one.pictures[0], atol=1e-4)
+
+
+def test_motions_drawn_together_are_those_drawn_apart(body, mae):
+    """Each in its place, whatever its length."""
+    decoupler = Decoupler(body, mae, replace(PLAIN, views=(0.0, 90.0)))
+    motions = clips(0), clips(1, ["right_knee"], frames=9)
+    cameras = decoupler.cameras(*motions)
+    for together, motion in zip(decoupler.see_each(motions, FRAMES, cameras), motions, strict=True):
+        apart = decoupler.see(motion, FRAMES, cameras)
+        assert torch.allclose(together.pictures, apart.pictures, atol=1e-6)
+        assert torch.allclose(together.joints_px, apart.joints_px)
 
 
 def test_a_view_of_ninety_degrees_sees_the_left_side(body, mae):
