@@ -10,13 +10,13 @@ Each judge is asked where it is installed and skipped where it is not:
 import json
 import os
 import shutil
-import subprocess
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from other_programs import JUDGES, python, said
 
 from refine.formats.bvh import world
 from refine.formats.fbx import write_fbx
@@ -27,7 +27,6 @@ from refine.synthetic import draw, perform
 from renderers.body import Body
 from renderers.skeleton import DRAWN_PART_NAMES, JOINT_NAMES
 
-JUDGES = Path(__file__).parent / "judges"
 HALF_MILLIMETRE = 5e-4
 FRAMES = (0, 1, 23, 59)
 
@@ -51,20 +50,6 @@ def modules() -> str:
     if not shutil.which("node") or not Path(folder, "gltf-validator").is_dir() or not Path(folder, "three").is_dir():
         pytest.skip("no node with gltf-validator and three (set NODE_MODULES)")
     return str(Path(folder).resolve())
-
-
-def python(variable: str, module: str) -> str:
-    found = os.environ.get(variable, "")
-    known = found and subprocess.run([found, "-c", f"import {module}"], capture_output=True).returncode == 0
-    if not known:
-        pytest.skip(f"no Python with {module} (set {variable})")
-    return found
-
-
-def said(*command: str | Path) -> str:
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return done.stdout
 
 
 def assert_there(found: list[dict[str, list[float]]], motion: Motion, rest_joints, frames=FRAMES):

@@ -4,13 +4,12 @@ bvhio and trimesh are asked if JUDGES_PYTHON names a Python that has them, Blend
 """
 
 import json
-import os
-import subprocess
 from pathlib import Path
 
 import numpy as np
 import pytest
 import torch
+from other_programs import JUDGES, python, said
 
 from refine.cli.main import main
 from refine.formats.files import load_motion
@@ -18,7 +17,6 @@ from refine.motion import Motion
 from renderers.body import Body
 from renderers.skeleton import JOINT_NAMES, JOINTS
 
-JUDGES = Path(__file__).parent / "judges"
 HALF_MILLIMETRE = 5e-4
 FRAMES = (0, 1, 17, 44)
 
@@ -43,19 +41,10 @@ def motion(composed, rest_joints) -> Motion:
     return load_motion(composed / "both.bvh", rest_joints)
 
 
-def python(variable: str, module: str) -> str:
-    found = os.environ.get(variable, "")
-    known = found and subprocess.run([found, "-c", f"import {module}"], capture_output=True).returncode == 0
-    if not known:
-        pytest.skip(f"no Python with {module} (set {variable})")
-    return found
-
-
-def said(*command: object) -> dict:
+def told(*command: object) -> list | dict:
     """The JSON that a judge prints, behind whatever else it prints."""
-    done = subprocess.run(list(map(str, command)), capture_output=True, text=True, timeout=120)
-    assert done.returncode == 0, done.stderr[-2000:]
-    return json.loads((done.stdout.partition("FOUND ")[2] or done.stdout).splitlines()[0])
+    printed = said(*command)
+    return json.loads((printed.partition("FOUND ")[2] or printed).splitlines()[0])
 
 
 def places(found: dict, unit: float = 1.0) -> torch.Tensor:
@@ -72,24 +61,24 @@ def assert_there(seen: torch.Tensor, motion: Motion, rest_joints):
 
 
 def test_bvhio_reads_the_bvh(composed, motion, rest_joints):
-    found = said(python("JUDGES_PYTHON", "bvhio"), JUDGES / "bvhio_joints.py", composed / "both.bvh", *FRAMES)
+    found = told(python("JUDGES_PYTHON", "bvhio"), JUDGES / "bvhio_joints.py", composed / "both.bvh", *FRAMES)
     assert found["frames"] == len(motion) == 45
     assert_there(places(found, 0.01), motion, rest_joints)
 
 
 def test_blender_reads_the_bvh(composed, motion, rest_joints):
-    found = said(python("BPY_PYTHON", "bpy"), JUDGES / "blender_bvh_joints.py", composed / "both.bvh", *FRAMES)
+    found = told(python("BPY_PYTHON", "bpy"), JUDGES / "blender_bvh_joints.py", composed / "both.bvh", *FRAMES)
     assert_there(places(found), motion, rest_joints)
 
 
 def test_blender_reads_the_glb(composed, motion, rest_joints):
-    found = said(python("BPY_PYTHON", "bpy"), JUDGES / "blender_joints.py", composed / "both.glb", "30.0", *FRAMES)
+    found = told(python("BPY_PYTHON", "bpy"), JUDGES / "blender_joints.py", composed / "both.glb", "30.0", *FRAMES)
     assert_there(places(found), motion, rest_joints)
 
 
 def test_trimesh_poses_the_glb(composed, motion, rest_joints):
     seconds = [repr(frame / 30) for frame in FRAMES]
-    found = said(python("JUDGES_PYTHON", "trimesh"), JUDGES / "trimesh_joints.py", composed / "both.glb", *seconds)
+    found = told(python("JUDGES_PYTHON", "trimesh"), JUDGES / "trimesh_joints.py", composed / "both.glb", *seconds)
     assert_there(places(found), motion, rest_joints)
 
 
@@ -100,7 +89,7 @@ mesh = trimesh.load(sys.argv[1], process=False)
 print(json.dumps([mesh.vertices.tolist(), mesh.faces.tolist(), bool(mesh.is_watertight), mesh.volume]))
 """
     path = composed / "frames" / "frame_00000.obj"
-    vertices, faces, closed, volume = said(python("JUDGES_PYTHON", "trimesh"), "-c", code, path)
+    vertices, faces, closed, volume = told(python("JUDGES_PYTHON", "trimesh"), "-c", code, path)
     body, frame = Body.free("full"), slice(FRAMES[2], FRAMES[2] + 1)
     np.testing.assert_allclose(vertices, body(motion.rotations[frame], motion.root[frame]).vertices[0], atol=2e-6)
     np.testing.assert_array_equal(faces, body.faces)

@@ -264,6 +264,22 @@ def like_lafan1(bvh: Bvh) -> Bvh:
     return told_otherwise(renamed(refolded(bvh, torch.stack(axes)), smpl_names("LAFAN1")), "zyx")
 
 
+def still(names: list[str], parents: list[int], offsets: list[tuple[float, float, float]], frames: int) -> Bvh:
+    """A skeleton that stands still in its zero pose."""
+    bones = torch.tensor(offsets, dtype=torch.float64)
+    return Bvh(
+        names=tuple(names),
+        parents=tuple(parents),
+        offsets=bones,
+        channels=(("Zrotation", "Xrotation", "Yrotation"),) * len(names),
+        ends=(),
+        rotations=torch.eye(3, dtype=torch.float64).repeat(frames, len(names), 1, 1),
+        positions=bones.repeat(frames, 1, 1),
+        fps=30.0,
+        source="thing.bvh",
+    )
+
+
 def on_fours(hind: float = 0.3, fore: float = 0.3, trunk: float = 0.6, frames: int = 8, tail: bool = True) -> Bvh:
     """A dog that stands: a level trunk along z, four legs down, a head and a tail; lengths in metres."""
     names, parents, offsets = ["root"], [-1], [(0.0, 0.6, 0.0)]
@@ -291,14 +307,4 @@ def on_fours(hind: float = 0.3, fore: float = 0.3, trunk: float = 0.6, frames: i
         chain(f"wrist{letter}", (f"digit{letter}", (0, 0, 0.06)))
     if tail:
         chain("root", ("tail1", (0, 0, -0.15)), ("tail2", (0, 0, -0.15)), ("tail3", (0, 0, -0.15)))
-    bones = torch.tensor(offsets, dtype=torch.float64)
-    return Bvh(
-        names=tuple(names),
-        parents=tuple(parents),
-        offsets=bones,
-        channels=(("Zrotation", "Xrotation", "Yrotation"),) * len(names),
-        ends=(),
-        rotations=torch.eye(3, dtype=torch.float64).repeat(frames, len(names), 1, 1),
-        positions=bones.repeat(frames, 1, 1),
-        fps=30.0,
-    )
+    return still(names, parents, offsets, frames)

@@ -195,18 +195,7 @@ def test_someone_on_hands_and_knees_is_a_person(told, rest_joints):
 
 
 def chain(names: list[str], parents: list[int]) -> Bvh:
-    bones = torch.tensor([[0.1, 0.2, 0.0]], dtype=torch.float64).repeat(len(names), 1)
-    return Bvh(
-        names=tuple(names),
-        parents=tuple(parents),
-        offsets=bones,
-        channels=(("Zrotation", "Xrotation", "Yrotation"),) * len(names),
-        ends=(),
-        rotations=torch.eye(3, dtype=torch.float64).repeat(3, len(names), 1, 1),
-        positions=bones.repeat(3, 1, 1),
-        fps=30.0,
-        source="thing.bvh",
-    )
+    return variants.still(names, parents, [(0.1, 0.2, 0.0)] * len(names), frames=3)
 
 
 @pytest.mark.parametrize(
@@ -294,7 +283,7 @@ def test_another_reader_has_the_joints_there(told, tmp_path):
 def test_another_reader_is_asked(told, tmp_path):
     path = tmp_path / "walk1.bvh"
     path.write_text(bvh_text(variants.like_lafan1(told)))
-    judge = Path(__file__).parent / "formats" / "judges" / "bvhio_joints.py"
+    judge = Path(__file__).parents[1] / "formats" / "judges" / "bvhio_joints.py"
     done = subprocess.run([JUDGES, judge, path, "0", "17"], capture_output=True, text=True, check=True)
     bvh = read_bvh(path)
     for frame, there in zip((0, 17), json.loads(done.stdout)["joints"], strict=True):
