@@ -12,10 +12,13 @@ GERUNDS = {
     "jog": "jogging", "hop": "hopping", "swim": "swimming", "put": "putting", "lie": "lying", "tie": "tying",
     "die": "dying", "see": "seeing", "flee": "fleeing", "tiptoe": "tiptoeing", "dye": "dyeing", "be": "being",
     "box": "boxing", "throw": "throwing", "play": "playing", "fix": "fixing", "carry": "carrying", "ski": "skiing",
-    "open": "opening", "lift": "lifting", "lean": "leaning", "bend": "bending", "clap": "clapping", "squat": "squatting",
+    "open": "opening", "lift": "lifting", "lean": "leaning", "bend": "bending", "clap": "clapping",
+    "squat": "squatting",
     "begin": "beginning", "mimic": "mimicking", "quit": "quitting", "stretch": "stretching", "kneel": "kneeling",
-    "sing": "singing", "bring": "bringing", "swing": "swinging", "waving": "waving", "yell": "yelling", "yawn": "yawning",
-    "sidestep": "sidestepping", "visit": "visiting", "juggle": "juggling", "side-step": "side-stepping", "Run": "Running",
+    "sing": "singing", "bring": "bringing", "swing": "swinging", "waving": "waving", "yell": "yelling",
+    "yawn": "yawning",
+    "sidestep": "sidestepping", "visit": "visiting", "juggle": "juggling", "side-step": "side-stepping",
+    "Run": "Running",
     "use": "using", "go": "going", "do": "doing",
 }  # fmt: skip
 
