@@ -92,6 +92,25 @@ def random_parts(generator: torch.Generator) -> Parts:
     return Parts(*torch.randint(2, (len(BODY_PARTS),), generator=generator).bool().tolist())
 
 
+def put_together(motions: Sequence[Motion], division: Division, centred: bool = False) -> Motion:
+    """Every joint from the action that has it, travel from the one that has the pelvis; as long as the shortest.
+
+    One that has no part in the end is not seen. Nothing is smoothed, and rotations are local: an arm follows the torso
+    that it is put on.
+
+    Args:
+        motions: of one frame rate, one an action of the division.
+        centred: trim to the middles, or from the first frames.
+    """
+    motions = trimmed(motions, centred)
+    owner = [division.owners[part] for part in PART_OF]
+    rotations = torch.stack([motions[action].rotations[:, joint] for joint, action in enumerate(owner)], dim=1)
+    label = "+".join(motion.label for motion in motions if motion.label)
+    source = " + ".join(motion.source for motion in motions)
+    grounds = motions[owner[JOINTS["pelvis"]]]
+    return replace(grounds, rotations=rotations, root=grounds.root.clone(), label=label, source=source)
+
+
 def couple_by_parts(
     i: Motion, j: Motion, parts_i: Parts, parts_j: Parts, rest_joints: Tensor, centred: bool = True
 ) -> Coupling:
