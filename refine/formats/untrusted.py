@@ -8,6 +8,7 @@ import os
 import stat
 from collections.abc import Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import Any, BinaryIO
 
@@ -92,26 +93,31 @@ def read_bytes(path: str | Path, max_bytes: int) -> bytes:
     return content
 
 
-def read_json(path: str | Path, max_bytes: int = MAX_JSON, finite: bool = True) -> Any:
+def read_json(path: str | Path, max_bytes: int = MAX_JSON, finite: bool = True, unique: bool = False) -> Any:
     """The values of a JSON file in UTF-8.
 
     Args:
         finite: refuse NaN and infinity, which are no JSON, but which Python writes.
+        unique: refuse objects that have a key twice, of which the last would count.
 
     Raises:
         UserError: see :func:`opened`; or it is no JSON, or nested too deeply.
     """
-    return parse_json(path, read_bytes(path, max_bytes), finite)
+    return parse_json(path, read_bytes(path, max_bytes), finite, unique)
 
 
-def parse_json(where: str | Path, content: bytes, finite: bool = True) -> Any:
+def parse_json(where: str | Path, content: bytes, finite: bool = True, unique: bool = False) -> Any:
     """As :func:`read_json`, of bytes.
 
     Raises:
         UserError: it is no JSON, or nested too deeply.
     """
     try:
-        return json.loads(content.decode("utf-8-sig"), parse_constant=_no_number if finite else None)
+        return json.loads(
+            content.decode("utf-8-sig"),
+            parse_constant=_no_number if finite else None,
+            object_pairs_hook=partial(_each_once, where) if unique else None,
+        )
     except RecursionError as error:
         raise UserError(where, "is nested too deeply", "check what it is") from error
     except ValueError as error:  # of the text, the syntax, or a number of thousands of digits
@@ -189,6 +195,15 @@ def _reason(error: Exception) -> str:
     if isinstance(error, OSError):
         return f"cannot be read ({error.strerror or type(error).__name__})"
     return " ".join(str(error).split())[:100]
+
+
+def _each_once(where: str | Path, pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+    found: dict[str, Any] = {}
+    for key, value in pairs:
+        if key in found:
+            raise UserError(where, f"has {key!r} twice", "keep one of them")
+        found[key] = value
+    return found
 
 
 def _no_number(name: str) -> None:
