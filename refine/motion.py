@@ -147,12 +147,15 @@ def lies(motion: Motion) -> bool:
     return bool((along > 0.7).float().mean() > 0.9)
 
 
-def canonicalise(motion: Motion) -> Motion:
+def canonicalise(motion: Motion, yaw: Tensor | None = None) -> Motion:
     """Turned and moved so that the first frame faces +z and stands at x = z = 0; heights and later turns are kept.
 
     True yaw (swing-twist), protocol B.4 no. 24 and G.15.
+
+    Args:
+        yaw: radians that are turned back, if not the first frame's heading.
     """
-    turn = rotation_about("y", -heading(motion.rotations[0, 0]))
+    turn = rotation_about("y", -(heading(motion.rotations[0, 0]) if yaw is None else yaw))
     rotations = motion.rotations.clone()
     rotations[:, 0] = turn @ rotations[:, 0]
     start = motion.root[0] * motion.root.new_tensor([1.0, 0.0, 1.0])
