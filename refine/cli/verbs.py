@@ -19,7 +19,7 @@ from refine.cli.grammar import grammar
 from refine.cli.inspect import Inspect
 from refine.cli.inspect_data import InspectData
 from refine.cli.render import Render
-from refine.cli.train import TrainGenerator, TrainMAE
+from refine.cli.train import TrainGenerator, TrainMAE, TrainText, TrainTextDiffusion, TrainTextScorer
 from refine.cli.train_recogniser import TrainRecogniser
 from refine.cli.view import View
 
@@ -42,6 +42,9 @@ VERBS: dict[str, Any] = {
         "mae": TrainMAE,
         "generator": TrainGenerator,
         "recogniser": TrainRecogniser,
+        "text": TrainText,
+        "text-scorer": TrainTextScorer,
+        "text-diffusion": TrainTextDiffusion,
     },
     "generate": Generate,
     "evaluate": Evaluate,

@@ -32,6 +32,8 @@ class TextEncoder(Protocol):
     """Says which one it is, for files that depend on it."""
     width: int
 
+    def to(self, device: torch.device | str) -> "TextEncoder": ...
+
     def words(self, texts: Sequence[str]) -> Words:
         """The last hidden states."""
         ...
@@ -55,6 +57,13 @@ class HuggingFaceEncoder:
         if importlib.util.find_spec("transformers") is None:
             raise UserError("text encoder", "transformers is not installed", INSTALL)
         self.folder, self.name = folder, name or folder.name
+        self.device = torch.device("cpu")
+
+    def to(self, device: torch.device | str) -> "HuggingFaceEncoder":
+        """On another device, where its states are then as well."""
+        self.device = torch.device(device)
+        self._parts[1].to(self.device)
+        return self
 
     @cached_property
     def _parts(self) -> tuple[Any, Any]:
@@ -90,6 +99,7 @@ class HuggingFaceEncoder:
                 raise UserError("text", f"has {len(text):,} characters", f"say it in at most {LONGEST:,}")
         tokeniser, model = self._parts
         tokens = tokeniser(list(texts), padding=True, truncation=True, max_length=MOST_TOKENS, return_tensors="pt")
+        tokens = tokens.to(self.device)
         valid = tokens["attention_mask"].bool()
         states = model(**tokens).last_hidden_state
         return Words(states.float() * valid[..., None], valid)

@@ -1,0 +1,80 @@
+"""Trained text-to-motion models from disk."""
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+from torch import nn
+
+from refine.formats.untrusted import read_json
+from refine.formats.weights import check_network
+from refine.text.diffusion import DiffusionConfig, LatentDiffusion, LatentDiffusionConfig
+from refine.text.encoder import TextEncoder, load_encoder
+from refine.text.model import TextToMotion, TextToMotionConfig
+from renderers.checks import UserError
+from train.checkpoints import read_weights
+
+
+def load_text_to_motion(path: str | Path, kind: str = "text") -> TextToMotion:
+    """A trained model in evaluation mode.
+
+    Args:
+        path: a ``.safetensors`` with its ``.json`` beside, or a run folder, whose best weights are taken.
+        kind: "text", or "text-scorer" for a judge.
+
+    Raises:
+        UserError: missing or damaged files, or the weights of something else.
+    """
+    return load_network(path, kind, lambda stored: TextToMotion(TextToMotionConfig(**stored)))
+
+
+def load_diffusion(path: str | Path) -> LatentDiffusion:
+    """The same of ``refine train text-diffusion``."""
+
+    def build(stored: dict[str, Any]) -> LatentDiffusion:
+        motion, denoiser = TextToMotionConfig(**stored["motion"]), DiffusionConfig(**stored["denoiser"])
+        return LatentDiffusion(LatentDiffusionConfig(motion=motion, denoiser=denoiser))
+
+    return load_network(path, "text-diffusion", build)
+
+
+def load_text_model(path: str | Path) -> TextToMotion | LatentDiffusion:
+    """Either of the two that make motions, whichever it is."""
+    described = weights_of(path).with_suffix(".json")
+    found = read_json(described, finite=False) if described.is_file() else {}
+    diffusion = isinstance(found, dict) and found.get("kind") == "text-diffusion"
+    return load_diffusion(path) if diffusion else load_text_to_motion(path)
+
+
+def weights_of(path: str | Path) -> Path:
+    path = Path(path)
+    return path / "best.safetensors" if path.is_dir() else path
+
+
+def load_network(path: str | Path, kind: str, build: Callable[[dict[str, Any]], nn.Module]) -> Any:
+    """The network that a description describes, with the weights beside it."""
+    path = weights_of(path)
+    tensors, description = read_weights(path, kind)
+    try:
+        stored = description["config"]
+        layers = stored["layers"] if "layers" in stored else stored["motion"]["layers"] + stored["denoiser"]["layers"]
+        check_network(path, lambda: build(stored), layers, tensors, "train it again")
+        model = build(stored)
+        model.load_state_dict(tensors)
+    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(path, f"does not fit its description ({reason})", "train it again") from error
+    return model.eval().requires_grad_(False)
+
+
+def encoder_of(model: TextToMotion | LatentDiffusion, folder: Path | None = None) -> TextEncoder:
+    """The text encoder that a model was trained with.
+
+    Raises:
+        UserError: the one that is given, or by default installed, is another.
+    """
+    encoder = load_encoder(folder)
+    if (encoder.name, encoder.width) != (model.config.encoder, model.config.text_width):
+        problem = f"is {encoder.name!r} of width {encoder.width}, the model was trained with {model.config.encoder!r}"
+        raise UserError("text encoder", f"{problem} of width {model.config.text_width}", "pass that one's folder")
+    return encoder
