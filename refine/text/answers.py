@@ -60,11 +60,14 @@ def plain(phrase: str) -> str:
     return " ".join(phrase.lower().split())
 
 
-def read_answers(path: str | Path) -> dict[Key, str]:
+def read_answers(path: str | Path, own: bool = False) -> dict[Key, str]:
     """The answers of a file, in the order in which they were given.
 
     Three forms are read: what `write_answers` writes; an object of phrases and their answers; and the list that SINC
     published, an object of labels and three answers each, of which the third is taken.
+
+    Args:
+        own: read the first form alone: the file is about to be written in it.
 
     Raises:
         UserError: the file is missing, too large, no JSON, or of another form, or has two answers for a phrase.
@@ -76,6 +79,8 @@ def read_answers(path: str | Path) -> dict[Key, str]:
         if content.get("version") != VERSION:
             raise UserError(path, f"is of version {content.get('version')!r}", f"this Refine reads version {VERSION}")
         entries = [_entry(path, number, entry) for number, entry in enumerate(content["answers"])]
+    elif own:
+        raise UserError(path, "is not a file that answers are added to", "name a new one, or leave --llm-url out")
     else:
         entries = [((plain(phrase), "", ""), _text(path, phrase, answer)) for phrase, answer in content.items()]
     found: dict[Key, str] = {}
