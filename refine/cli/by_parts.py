@@ -10,7 +10,7 @@ from renderers.checks import UserError
 if TYPE_CHECKING:
     from refine.coupling_by_parts import Division
     from refine.motion import Motion
-    from refine.text.parts import Labelled
+    from refine.text.parts import Labelled, Labeller
 
 MOST = len(ascii_uppercase)
 
@@ -21,39 +21,38 @@ def texts_of(
     """The text of each clip: the one that is given, or what its label says.
 
     Raises:
-        UserError: there is neither, or one is empty.
+        UserError: there is neither, or one is empty or longer than a phrase may be.
     """
+    from refine.cli.labelling import check_phrases
     from refine.text.phrases import phrase_of
 
     texts = []
     for clip, name, text, flag in zip(clips, names, given, flags, strict=True):
         if text is None and not (text := phrase_of(clip.label)):
             raise UserError(name, "has no label to tell what it does", f'say it with {flag}, such as "walk forwards"')
-        if not text.strip():
-            raise UserError(flag, "is empty", 'say what the clip does, such as "walk forwards"')
+        check_phrases(flag, [text])
         texts.append(text)
     return texts
 
 
-def labelled_texts(texts: Sequence[str]) -> list["Labelled"]:
+def labelled_texts(texts: Sequence[str], labeller: "Labeller | None" = None) -> list["Labelled"]:
     """What each text is about. One that lists parts, such as "torso, right arm", is taken at its word.
 
-    Words that are not known are said.
+    The default labeller is asked unless another is given. Words that are not known are said.
     """
-    from refine.text.labellers import labeller
+    from refine.cli.labelling import say_unknown
+    from refine.text.labellers import labeller as default_labeller
     from refine.text.parts import BODY_PARTS, Labelled, Parts
 
     names = [[name.strip().lower() for name in text.split(",")] for text in texts]
     listed = [set(each) <= set(BODY_PARTS) for each in names]
     asked = [text for text, plain in zip(texts, listed, strict=True) if not plain]
-    answers = iter(labeller()(asked) if asked else ())
+    answers = iter((labeller or default_labeller())(asked) if asked else ())
     found = [
         Labelled(text, Parts.of(each), "the text itself", "lists parts", ()) if plain else next(answers)
         for text, each, plain in zip(texts, names, listed, strict=True)
     ]
-    for letter, each in zip(ascii_uppercase, found, strict=False):
-        if each.unknown:
-            say(f"refine: {letter}: not known: {', '.join(each.unknown)}")
+    say_unknown(found, ascii_uppercase)
     return found
 
 

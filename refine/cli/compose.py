@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Literal
 from tyro.conf import Positional, arg
 
 from refine.cli.by_parts import MOST
+from refine.cli.labelling import BY_DEFAULT, Chosen
 from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
@@ -47,6 +48,7 @@ class Compose:
     """With --by parts: a third clip, a fourth and so on, to be composed with A and B."""
     text_more: tuple[str, ...] = ()
     """What each of --more does, in their order; unless given, what their labels say."""
+    labelling: Chosen = BY_DEFAULT
     trim: Literal["start", "middle"] | None = None
     """What is kept of longer clips: from their first frames, or their middles; none is the start by energies and the
     middle by parts."""
@@ -102,9 +104,9 @@ class Compose:
             raise UserError("--lam", "weighs energies, and parts are not weighed", "leave it out, or --by parts")
         if self.by == "energies":
             texts = {"--text-a": self.text_a, "--text-b": self.text_b, "--text-more": self.text_more}
-            for flag, value in {"--more": self.more, **texts}.items():
-                if value:
-                    raise UserError(flag, "is for composing by parts", "add --by parts, or leave it out")
+            given = [flag for flag, value in {"--more": self.more, **texts}.items() if value]
+            for flag in [*given, *self.labelling.given()]:
+                raise UserError(flag, "is for composing by parts", "add --by parts, or leave it out")
         if self.text_more and len(self.text_more) != len(self.more):
             problem = f"{len(self.text_more)} texts for the {len(self.more)} clips of --more"
             raise UserError("--text-more", problem, "give one for each, or none")
@@ -136,7 +138,7 @@ class Compose:
         clips = clips_of(names, body.rest_joints, self.seed, centred)
         given = (self.text_a, self.text_b, *(self.text_more or [None] * len(self.more)))
         flags = ("--text-a", "--text-b", *["--text-more"] * len(self.more))
-        labelled = labelled_texts(texts_of(clips, names, given, flags))
+        labelled = labelled_texts(texts_of(clips, names, given, flags), self.labelling.labeller())
         division = divide([each.parts for each in labelled])
         say_who_wins(division)
         judge = judge_of(body, self.mae) if refinement.steps or self.report else None

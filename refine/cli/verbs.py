@@ -19,6 +19,7 @@ from refine.cli.grammar import grammar
 from refine.cli.inspect import Inspect
 from refine.cli.inspect_data import InspectData
 from refine.cli.render import Render
+from refine.cli.text import TextParts
 from refine.cli.train import TrainGenerator, TrainMAE, TrainText, TrainTextDiffusion, TrainTextScorer
 from refine.cli.train_recogniser import TrainRecogniser
 from refine.cli.view import View
@@ -36,6 +37,10 @@ VERBS: dict[str, Any] = {
         "inspect": InspectData,
         "import": ImportData,
         "benchmark": BuildBenchmark,
+    },
+    "text": {
+        "": "Read what describes motions.\n\nExample: refine text parts \"walk forwards\"",
+        "parts": TextParts,
     },
     "train": {
         "": "Train the networks.\n\nExample: refine train mae tiny --out runs/mae",
