@@ -1,56 +1,102 @@
-"""What says which parts of the body a phrase is about."""
+"""The labeller that is used unless another is asked for: by the words, and by labelled phrases where those fail."""
 
 from collections.abc import Sequence
-from difflib import get_close_matches
+from functools import lru_cache
+from typing import TYPE_CHECKING
 
+from refine.text.examples import Example, labelled, plain
+from refine.text.lexical import BOTH, FREE, NEITHER, Limbs, Reading, read
 from refine.text.parts import Labelled, Labeller, Parts
 from renderers.checks import UserError
 
-MOVING_ABOUT, BOTH_ARMS = ("global", "left leg", "right leg"), ("left arm", "right arm")
+if TYPE_CHECKING:
+    from refine.text.encoder import TextEncoder
+    from refine.text.nearest import Nearest
 
-# The phrases of the built-in actions (``refine.text.phrases``), labelled by hand.
-KNOWN: dict[str, tuple[str, ...]] = {
-    "stand still": ("left leg", "right leg"),
-    "march in place, lifting the knees": MOVING_ABOUT,
-    "punch with both arms and lift the knees": (*MOVING_ABOUT, *BOTH_ARMS),
-    "lunge to the left": MOVING_ABOUT,
-    "kick with the left leg": ("left leg",),
-    "lunge forwards": MOVING_ABOUT,
-    "pull a chest expander with both arms": BOTH_ARMS,
-    "punch with both arms": BOTH_ARMS,
-    "circle both elbows": BOTH_ARMS,
-    "raise both arms sideways": BOTH_ARMS,
-    "stand and rotate the torso with the arms stretched out": ("torso", *BOTH_ARMS),
-    "walk forwards": MOVING_ABOUT,
-    "run forwards": MOVING_ABOUT,
-    "squat": MOVING_ABOUT,
-    "wave with the left hand": ("left arm",),
-    "wave with the right hand": ("right arm",),
-    "wave with both hands": BOTH_ARMS,
-    "raise the left hand": ("left arm",),
-    "drink from a cup": ("right arm",),
-    "drink from a cup with the left hand": ("left arm",),
-    "drink from a cup with the right hand": ("right arm",),
-}
+LONGEST = 500  # characters of a phrase
+ALIKE = 0.35  # the least similarity at which a phrase of unknown words alone is still guessed
 
 
-def labeller() -> Labeller:
-    """The labeller that is used unless another is asked for; no network and no other package is needed."""
-    return known
+def labeller(encoder: "TextEncoder | None" = None) -> Labeller:
+    """The labeller that is used unless another is asked for. Nothing is loaded before it is needed; no network is.
+
+    Args:
+        encoder: compares phrases whose words do not say enough with the labelled ones. None = the one of the extra
+            ``[text]`` where it is installed, else their spelling.
+    """
+
+    def label(phrases: Sequence[str]) -> list[Labelled]:
+        return [_labelled(phrase, encoder) for phrase in phrases]
+
+    return label
 
 
-def known(phrases: Sequence[str]) -> list[Labelled]:
-    """What people say of the built-in actions' phrases.
+def by_words(phrases: Sequence[str]) -> list[Labelled]:
+    """What the words alone say, see ``refine.text.lexical``; no part where they say nothing.
 
     Raises:
-        UserError: a phrase is another; the nearest ones are offered.
+        UserError: a phrase is empty or too long.
     """
     found = []
     for phrase in phrases:
-        words = " ".join(phrase.lower().split())
-        if words not in KNOWN:
-            near = get_close_matches(words, KNOWN, n=3, cutoff=0.4)
-            meant = f"; did you mean {', '.join(near)}?" if near else ""
-            raise UserError(repr(phrase), "is not a phrase that is known", f"list its parts: torso, right arm{meant}")
-        found.append(Labelled(phrase, Parts.of(KNOWN[words]), "table", "labelled by hand"))
+        reading = read(_checked(phrase))
+        found.append(Labelled(phrase, parts_of(reading), "words", _why(reading), reading.unknown))
     return found
+
+
+def parts_of(reading: Reading) -> Parts:
+    """The parts of a reading. A hand or foot that is free is the right one."""
+    return Parts(reading.whole, reading.torso, *_sides(reading.arms), *_sides(reading.legs))
+
+
+def _sides(limbs: Limbs) -> tuple[bool, bool]:
+    return "left" in limbs, "right" in limbs or "free" in limbs
+
+
+def _checked(phrase: str) -> str:
+    if not plain(phrase):
+        raise UserError("text", "is empty", 'describe an action, such as "walk forwards"')
+    if len(phrase) > LONGEST:
+        raise UserError("text", f"has {len(phrase):,} characters", f"describe the action in at most {LONGEST}")
+    return phrase
+
+
+def _labelled(phrase: str, encoder: "TextEncoder | None") -> Labelled:
+    reading = read(_checked(phrase))
+    if example := labelled().get(plain(phrase)):
+        return Labelled(phrase, _as_marked(example, parts_of(reading)), "examples", "labelled by hand")
+    if reading.about:
+        return Labelled(phrase, parts_of(reading), "words", _why(reading), reading.unknown)
+    nearest = _nearest(encoder)
+    guess = nearest(phrase)
+    if guess.similarity < ALIKE and len(reading.unknown) == len(plain(phrase).split()):
+        raise UserError(
+            repr(phrase), "has no word that is known", "say it otherwise, or list its parts: torso, right arm"
+        )
+    told = Reading(guess.whole, guess.torso, _many(guess.arms), _many(guess.legs))
+    why = f'as "{guess.nearest}", the most alike by {nearest.by} ({guess.similarity:.2f})'
+    return Labelled(phrase, parts_of(told), nearest.by, why, reading.unknown)
+
+
+def _many(number: int) -> Limbs:
+    return (NEITHER, FREE, BOTH)[number]
+
+
+def _why(reading: Reading) -> str:
+    return f"by {', '.join(dict.fromkeys(reading.about))}" if reading.about else "no word says which"
+
+
+def _as_marked(example: Example, otherwise: Parts) -> Parts:
+    """As labelled by hand; where people differ, as the words say."""
+    return Parts(*(other if mark is None else mark for mark, other in zip(example.marks, otherwise, strict=True)))
+
+
+@lru_cache(maxsize=2)
+def _nearest(encoder: "TextEncoder | None") -> "Nearest":
+    from refine.text.nearest import Nearest
+
+    if encoder is None:
+        from refine.text.encoder import has_default, load_encoder
+
+        encoder = load_encoder() if has_default() else None
+    return Nearest(encoder)
