@@ -243,6 +243,7 @@ DRAWN: dict[str, Callable[[Path], Image.Image]] = {
     "data-inspect": lambda _: Image.open(DOCS / "data.png"),
     "data-import": rendered("clips/squat_001.bvh", "--poses", "8", "--size", "230"),
     "data-benchmark": compositions,
+    "text-parts": terminal("text-parts"),
     "train-mae": stored("runs/mae/curves.png"),
     "train-generator": stored("runs/generator/curves.png"),
     "train-recogniser": terminal("train-recogniser"),
