@@ -22,15 +22,16 @@ from tqdm import tqdm
 
 from refine import synthetic
 from refine.coupling import couple
-from refine.coupling_by_parts import couple_by_parts, divide, random_parts
+from refine.coupling_by_parts import JOINTS_OF, couple_by_parts, divide, random_parts, unclaimed
 from refine.decoupling import Decoupler
 from refine.intervals import compare, mean_interval
 from refine.mae import load_mae
-from refine.metrics import jitter, mean_joint_error
+from refine.metrics import jitter, mean_joint_error, part_errors
+from refine.ownership import Divided
 from refine.procedural.draws import Draw
 from refine.refinement import refine_motion
 from refine.text.labellers import labeller
-from refine.text.parts import Parts
+from refine.text.parts import BODY_PARTS, Parts
 from refine.text.phrases import phrase_of
 from renderers.body import Body
 from renderers.skeleton import LEGS
@@ -43,6 +44,7 @@ WAYS = {
     "random": "random parts",
 }
 STAGES = ("coupled", "refined")
+KEPT = ("error", "jitter", "part_error")
 
 
 def drawn_pair(index: int, seed: int) -> list[Draw]:
@@ -76,7 +78,10 @@ def parts_of_pair(index: int, seed: int) -> dict[str, list[Parts]]:
 
 
 def measure(task: tuple) -> dict:
-    """One pair by every way; ways that divide the body alike are measured once."""
+    """One pair by every way; ways that divide the body alike are measured once.
+
+    Owners are numbers of actions, of what neither claims with a question mark.
+    """
     torch.set_num_threads(1)
     index, seed, stages, known = task
     body = Body.free("light")
@@ -89,16 +94,24 @@ def measure(task: tuple) -> dict:
     made: dict[str, dict] = dict(known)  # by owners
     row = {"pair": index, "i": i.label, "j": j.label, "texts": list(map(text_of, draws)), "overlaps": bool(index % 2)}
     for way in WAYS:
-        owners = "blend" if way == "energies" else " ".join(map(str, divide(parts[way]).owners))
+        owners, divided, coupled = "blend", None, None
+        if way != "energies":
+            division, nobodys = divide(parts[way]), unclaimed(parts[way])
+            divided = Divided(division.joints_of(0), nobodys)
+            owners = " ".join(
+                f"{owner}?" if nobodys[JOINTS_OF[part][0]] else f"{owner}"
+                for part, owner in zip(BODY_PARTS, division.owners, strict=True)
+            )
         if owners not in made:
-            coupled = couple(i, j, rest) if way == "energies" else couple_by_parts(i, j, *parts[way], rest)
+            coupled = couple_by_parts(i, j, *parts[way], rest) if divided else couple(i, j, rest)
             motions = {"coupled": coupled.motion}
             if "refined" in stages:
-                motions["refined"] = refine_motion(coupled.motion, i, j, decoupler).motion
+                motions["refined"] = refine_motion(coupled.motion, i, j, decoupler, divided=divided).motion
             joints = {stage: motion.joints(rest) for stage, motion in motions.items()}
             made[owners] = {
                 "error": {stage: mean_joint_error(each, truth) for stage, each in joints.items()},
                 "jitter": {stage: jitter(each, i.fps) for stage, each in joints.items()},
+                "part_error": {stage: part_errors(each, truth) for stage, each in joints.items()},
             }
         row[way] = {"parts": [each.names for each in parts.get(way, ())], "owners": owners, **made[owners]}
     return row
@@ -112,7 +125,7 @@ def earlier_rows(out: Path | None) -> dict[int, dict]:
 
 def measured(row: dict) -> dict[str, dict]:
     """What has been measured of a pair, by owners."""
-    return {row[way]["owners"]: {key: row[way][key] for key in ("error", "jitter")} for way in WAYS if way in row}
+    return {row[way]["owners"]: {key: row[way][key] for key in KEPT} for way in WAYS if way in row}
 
 
 def summarise(rows: list[dict]) -> dict:
@@ -142,8 +155,8 @@ def table(report: dict) -> str:
         "",
         "| ".join(["| composed by ", *(f"{stage}, cm ↓ " for stage in stages)])
         + "".join(f"| {stage}: less than by energies, cm " for stage in stages)
-        + "|",
-        "|---" * (1 + 2 * len(stages)) + "|",
+        + ("| less by refinement, cm | jitter before, after, m/s³ |" if "refined" in stages else "|"),
+        "|---" * (1 + 2 * len(stages) + 2 * ("refined" in stages)) + "|",
     ]
     for way, name in WAYS.items():
         cells = [centimetres(summary[way][stage]["mean"], summary[way][stage]["ci95"]) for stage in stages]
@@ -154,6 +167,11 @@ def table(report: dict) -> str:
             against = summary[way]["to_energies"][stage]
             low, high = against["difference_ci95"]
             cells.append(centimetres(-against["difference"], [-high, -low]))
+        if "refined" in stages:
+            found = summary[way]["refined_to_coupled"]
+            low, high = found["difference_ci95"]
+            cells.append(centimetres(-found["difference"], [-high, -low]))
+            cells.append(", ".join(f"{summary[way]['jitter'][stage]['mean']:.0f}" for stage in stages))
         lines.append(f"| {' | '.join([name, *cells])} |")
     return "\n".join(lines) + "\n"
 

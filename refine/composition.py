@@ -9,6 +9,7 @@ import torch
 from refine.coupling import Coupling, CouplingConfig, couple
 from refine.decoupling import Decoupler, Trace
 from refine.motion import Motion, resample, trimmed
+from refine.ownership import Divided
 from refine.refinement import RefinementConfig, refine_motion
 from refine.seeing import Clips
 
@@ -73,9 +74,10 @@ def refined(
     decoupler: Decoupler,
     refinement: RefinementConfig | None = None,
     progress: Callable[[int, dict[str, float]], None] | None = None,
+    divided: Divided | None = None,
 ) -> Composition:
     """Refine what has been coupled, in whatever way, from two aligned clips."""
-    result = refine_motion(coupled.motion, i, j, decoupler, refinement, progress)
+    result = refine_motion(coupled.motion, i, j, decoupler, refinement, progress, divided)
     made = "refined" if result.history else "coupled"
     return Composition(i, j, coupled, result.motion, result.before, result.after, result.history, made)
 

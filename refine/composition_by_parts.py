@@ -6,9 +6,10 @@ from dataclasses import replace
 from torch import Tensor
 
 from refine.composition import Composition, aligned, refined
-from refine.coupling_by_parts import couple_divided, divide
+from refine.coupling_by_parts import couple_divided, divide, unclaimed
 from refine.decoupling import Decoupler
 from refine.motion import Motion
+from refine.ownership import Divided
 from refine.refinement import RefinementConfig
 from refine.text.parts import BODY_PARTS, Parts
 from renderers.checks import UserError
@@ -25,6 +26,9 @@ def compose_by_parts(
 ) -> Composition:
     """Couple actions by parts, and refine the result through the decoupling loss.
 
+    Refinement leaves each action what it is about; what no action is about takes up how the others move there, see
+    ``refine_motion``.
+
     All are brought to the first one's frame rate and cut to the shortest. Of three and more, the base (see
     ``coupling_by_parts.divide``) is composed with the second in order, their composition with the third, and so on;
     each is refined before the next.
@@ -33,6 +37,7 @@ def compose_by_parts(
         parts: what each action is about.
         rest_joints: [24 3] T-pose joints, metres.
         decoupler: none only couples, and nobody looks.
+        refinement: ``refinement.BY_PARTS``, unless given.
         centred: cut to the middles, or from the first frames.
 
     Returns:
@@ -61,7 +66,8 @@ def compose_by_parts(
         if decoupler is None:
             composition = Composition(i, j, coupled, coupled.motion, made="coupled")
         else:
-            composition = refined(i, j, coupled, decoupler, refinement, progress)
+            divided = Divided(of_i, unclaimed([parts[member] for member in [*members, action]]))
+            composition = refined(i, j, coupled, decoupler, refinement, progress, divided)
         made = composition.motion
         members.append(action)
     names = [motion.label or motion.source for motion in motions]

@@ -82,6 +82,12 @@ def grounded(parts: Parts) -> Parts:
     return Parts.of(named | set(GROUNDED)) if named & set(GROUNDED) else parts
 
 
+def unclaimed(actions: Sequence[Parts]) -> Tensor:
+    """[24] bool: joints that no action is about; never those of ``GROUNDED``, which stay as one action has them."""
+    claimed = [name in GROUNDED or any(name in parts.names for parts in actions) for name in BODY_PARTS]
+    return torch.tensor([not claimed[part] for part in PART_OF])
+
+
 def compatible(parts_i: Parts, parts_j: Parts) -> bool:
     """Whether no part is in both: SINC's test of what can be done at once, on the parts as they were said."""
     return not any(i and j for i, j in zip(parts_i, parts_j, strict=True))

@@ -14,7 +14,7 @@ from torch import Tensor, nn
 
 from refine.attention import attention_map
 from refine.energies import energy_signal, joint_energies, part_energies
-from refine.ownership import Owned, by_standing, everything
+from refine.ownership import Divided, Owned, as_divided, by_standing, everything
 from refine.patches import keep_top, paste, patch_means, patchify, unpatchify
 from refine.seeing import Clips, Pinning, Seen, check_drawn, draw, flesh, joints_to_draw, mesh_to_draw, pin, reach
 from renderers.body import Body
@@ -208,23 +208,35 @@ class Decoupler(nn.Module):
         return [rows_of(whole, slice(n * pictures, (n + 1) * pictures)) for n in range(len(motions))]
 
     @torch.no_grad()
-    def references(self, i: Clips, j: Clips, frames: Tensor, cameras: list[Camera]) -> tuple[Reference, Reference]:
-        """Draw the sub-actions and measure their energies; the part of Eq. 7 that is constant."""
+    def references(
+        self,
+        i: Clips,
+        j: Clips,
+        frames: Tensor,
+        cameras: list[Camera],
+        divided: Divided | None = None,
+    ) -> tuple[Reference, Reference]:
+        """Draw the sub-actions and measure their energies; the part of Eq. 7 that is constant.
+
+        Args:
+            divided: of one pair, B = 1, that is composed by parts; see ``ownership``.
+        """
         pictures_of_clip = frames.shape[1] * len(cameras)
         references = []
-        for clips, owned, seen in zip(
-            (i, j), self.ownership(i, j), self.see_each((i, j), frames, cameras), strict=True
-        ):
+        owned = self.ownership(i, j, divided)
+        for clips, mine, seen in zip((i, j), owned, self.see_each((i, j), frames, cameras), strict=True):
             energies = joint_energies(energy_signal(*clips, self.body.rest_joints))
-            per_clip = (energies, *(value.to(energies.device) for value in owned))
-            energies, *owned = (value.repeat_interleave(pictures_of_clip, 0) for value in per_clip)
-            references.append(Reference(seen, energies, Owned(*owned)))
+            per_clip = (energies, *(value.to(energies.device) for value in mine))
+            energies, *mine = (value.repeat_interleave(pictures_of_clip, 0) for value in per_clip)
+            references.append(Reference(seen, energies, Owned(*mine)))
         return tuple(references)
 
-    def ownership(self, i: Clips, j: Clips) -> tuple[Owned, Owned]:
-        """What each sub-action owns of its B pairs' channels."""
+    def ownership(self, i: Clips, j: Clips, divided: Divided | None = None) -> tuple[Owned, Owned]:
+        """What each sub-action owns of its B pairs' channels: by energies, unless it is known how one is divided."""
         if self.config.ownership == "none":
             return everything(len(i.root), self.mae.config.channels)
+        if divided:
+            return as_divided(divided)
         turning = [part_energies(energy_signal(*clips, self.body.rest_joints, "rot6d")) for clips in (i, j)]
         return by_standing(*turning, self.config.contested, self.config.quiet)
 

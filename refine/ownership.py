@@ -4,6 +4,8 @@ Coupling compares the two actions' energies, so a wild action keeps a say in lim
 part has a standing in each action: its energy over that of the action's most energetic part, measured where the part
 itself turns, so that an arm does not count for being carried along. A part belongs to the action in which it stands
 higher.
+
+Where somebody has said what each action is about, no energy is asked: see ``as_divided``.
 """
 
 from typing import NamedTuple
@@ -17,6 +19,7 @@ from renderers.skeleton import DRAWN_PARTS, PART_NAMES, PARTS, part_of_joint
 PART_OF_CHANNEL = [part_of_joint(PARTS)[joints[-1]] for joints in DRAWN_PARTS.values()]
 TORSO = PART_NAMES.index("torso")
 ARMS = [PART_NAMES.index(name) for name in ("left_arm", "right_arm")]
+JOINT_OF_CHANNEL = [joints[-1] for joints in DRAWN_PARTS.values()]
 
 
 class Owned(NamedTuple):
@@ -24,6 +27,22 @@ class Owned(NamedTuple):
 
     answers: Tensor  # [B C] in 0..1: how much its picture is the one to match
     shown: Tensor  # [B C] bool: False where the channel shows what the other owns
+
+
+class Divided(NamedTuple):
+    """How a composition by parts is divided between two actions: each joint is from one of them."""
+
+    from_i: Tensor  # [24] bool; the others are from j
+    unclaimed: Tensor  # [24] bool: no action is about them, they are from one because they must be from somewhere
+
+
+def as_divided(divided: Divided) -> tuple[Owned, Owned]:
+    """What each action of one pair owns, B = 1: the parts that are from it, and those that nobody claims.
+
+    For these both answer, since each action does something there by the way.
+    """
+    sides = [(divided.unclaimed | mine)[None, JOINT_OF_CHANNEL] for mine in (divided.from_i, ~divided.from_i)]
+    return tuple(Owned(side.float(), side) for side in sides)
 
 
 def everything(batch: int, channels: int) -> tuple[Owned, Owned]:

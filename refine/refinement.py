@@ -11,6 +11,7 @@ from refine.decoupling import Decoupler, Reference, Trace, rows_of
 from refine.energies import spread_to_joints
 from refine.metrics import FEET, planted_feet
 from refine.motion import Motion, crop
+from refine.ownership import Divided
 from refine.seeing import Clips
 from renderers.checks import UserError
 from renderers.rotations import matrix_from_6d
@@ -39,6 +40,10 @@ class RefinementConfig:
     seed: int = 0
 
 
+BY_PARTS = RefinementConfig(free_rate=2e-4, stay=1e-5)
+"""For compositions by parts: what is left out of them is small, and so is what the loss says of it."""
+
+
 class Refined(NamedTuple):
     """The refined motion, with the loss before, after and in between."""
 
@@ -55,6 +60,7 @@ def refine_motion(
     decoupler: Decoupler,
     config: RefinementConfig | None = None,
     progress: Callable[[int, dict[str, float]], None] | None = None,
+    divided: Divided | None = None,
 ) -> Refined:
     """Make both sub-actions recognisable in a composition again.
 
@@ -62,21 +68,26 @@ def refine_motion(
     share for the whole clip (a half-blended limb can go to its owner); and freely, smooth in time. Travel, global
     orientation and parts that nobody answers for stay.
 
+    Where the composition is divided, a part that an action claims is its own already, and stays as well. What nobody
+    claims takes up, by its share, how the action that it is not from moves there about its mean posture: who walks and
+    punches turns the trunk with the punches too.
+
     Args:
         composed: the motion to refine; i, j: the sub-actions it was made of, frame for frame (longer ones are cut).
         progress: called after every step with its number and its loss terms.
+        divided: which parts are from which, if it is a composition by parts; else energies say who answers for what.
 
     Raises:
         UserError: a sub-action is shorter than the composition, or frame rates differ.
     """
-    config = config or RefinementConfig()
+    config = config or (BY_PARTS if divided else RefinementConfig())
     frames = len(composed)
     for clip in (i, j):
         if clip.fps != composed.fps or len(clip) < frames:
             problem = f"{len(clip)} frames at {clip.fps:g} fps cannot judge {frames} at {composed.fps:g} fps"
             raise UserError(clip.source, problem, "resample and crop it to the composition")
     i, j = crop(i, 0, frames), crop(j, 0, frames)
-    problem = Problem.build(composed, i, j, decoupler, config)
+    problem = Problem.build(composed, i, j, decoupler, config, divided)
     shares = torch.zeros(len(PARTS)).to(composed.root).requires_grad_()
     offsets = torch.zeros_like(composed.six).requires_grad_()
     optimiser = torch.optim.Adam(
@@ -107,8 +118,8 @@ class Problem(NamedTuple):
     """What is optimised over, with everything that stays the same during the optimisation."""
 
     composed: Motion
-    line: Tensor  # [T 24 6] from sub-action j to sub-action i
-    movable: Tensor  # [24 1] bool: somebody answers for the joint's part; the others stay
+    line: Tensor  # [T 24 6] along which a part's share moves it
+    movable: Tensor  # [24 1] bool: the others stay
     smoother: Tensor  # [T T] rows sum to 1
     joints: Tensor  # [T 24 3] of the composition
     planted: Tensor  # [T 4] bool, for FEET
@@ -118,16 +129,26 @@ class Problem(NamedTuple):
     config: RefinementConfig
 
     @classmethod
-    def build(cls, composed: Motion, i: Motion, j: Motion, decoupler: Decoupler, config: RefinementConfig) -> "Problem":
+    def build(
+        cls,
+        composed: Motion,
+        i: Motion,
+        j: Motion,
+        decoupler: Decoupler,
+        config: RefinementConfig,
+        divided: Divided | None = None,
+    ) -> "Problem":
         whole, *clips = [Clips(clip.rotations[None], clip.root[None]) for clip in (composed, i, j)]
         cameras = decoupler.cameras(whole, *clips)
         every = torch.arange(len(composed))[None]
-        references = decoupler.references(*clips, every, cameras)
+        references = decoupler.references(*clips, every, cameras, divided)
         joints = composed.joints(decoupler.body.rest_joints)
         planted = planted_feet(joints, composed.fps)
         smoother = gaussian_rows(len(composed), config.smooth_frames).to(composed.root)
-        movable = answered_joints(references)
-        return cls(composed, i.six - j.six, movable, smoother, joints, planted, references, cameras, decoupler, config)
+        line, movable = i.six - j.six, answered_joints(references)
+        if divided:
+            line, movable = movement_left_out(i, j, divided), divided.unclaimed[:, None]
+        return cls(composed, line, movable, smoother, joints, planted, references, cameras, decoupler, config)
 
     def rotations(self, shares: Tensor, offsets: Tensor) -> Tensor:
         """[T 24 3 3]; the global orientation is the composition's."""
@@ -157,6 +178,12 @@ class Problem(NamedTuple):
             "smooth": config.smooth * self.smoothed(offsets).diff(n=2, dim=0).square().sum() / offsets.numel(),
             "feet": config.feet * (moved[:, FEET].square().sum(-1) * self.planted).mean(),
         }
+
+
+def movement_left_out(i: Motion, j: Motion, divided: Divided) -> Tensor:
+    """[T 24 6] how the action that each joint does not come from moves there, about its mean posture."""
+    other = torch.where(divided.from_i[:, None], j.six, i.six)
+    return other - other.mean(0)
 
 
 def answered_joints(references: tuple[Reference, Reference]) -> Tensor:

@@ -1,6 +1,6 @@
 """``refine compose``: two clips in, or more, one motion out."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any, Literal
 
@@ -132,7 +132,9 @@ class Compose:
         from refine.cli.inputs import bar, body_of, clips_of, judge_of
         from refine.composition_by_parts import compose_by_parts
         from refine.coupling_by_parts import divide
+        from refine.refinement import BY_PARTS
 
+        refinement = replace(BY_PARTS, steps=refinement.steps, seed=refinement.seed)
         body, centred = body_of(self.body), self.trim != "start"
         names = (self.a, self.b, *self.more)
         clips = clips_of(names, body.rest_joints, self.seed, centred)

@@ -6,7 +6,7 @@ import pytest
 import torch
 
 from refine.composition_by_parts import compose_by_parts
-from refine.coupling_by_parts import Contest, compatible, couple_by_parts, divide, random_parts
+from refine.coupling_by_parts import Contest, compatible, couple_by_parts, divide, random_parts, unclaimed
 from refine.decoupling import Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.motion import Motion, crop, resample
@@ -129,6 +129,12 @@ def test_compatible_actions_share_no_part():
     assert not compatible(WALK, Parts.of(["left leg"])) and not compatible(WAVE, WAVE)
 
 
+def test_unclaimed_is_what_no_text_is_about():
+    assert unclaimed([WALK, WAVE]).nonzero()[:, 0].tolist() == sorted(TABLE["torso"] + TABLE["left arm"])
+    arms = [*TABLE["left arm"], *TABLE["right arm"]]
+    assert unclaimed([Parts.of(["torso"]), NOTHING]).nonzero()[:, 0].tolist() == sorted(arms)  # legs are never
+
+
 def test_random_parts_are_fair_and_seeded():
     drawn = [random_parts(torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)]
     assert drawn[0] == drawn[1] and all(isinstance(bit, bool) for bit in drawn[0])
@@ -177,7 +183,10 @@ def test_the_result_is_refined_from_its_own_sub_actions(three, rest_joints):
     assert made.made == "refined" and len(made.history["total"]) == 2
     assert (made.i.label, made.j.label) == ("walk", "wave-right-hand")
     assert torch.equal(made.j.rotations, three[1].rotations[:8])
-    assert not torch.equal(made.motion.rotations, made.coupling.motion.rotations)
+    moved = (made.motion.rotations - made.coupling.motion.rotations).abs().amax((0, 2, 3)) > 1e-6
+    assert moved.any() and set(moved.nonzero()[:, 0].tolist()) <= set(TABLE["torso"] + TABLE["left arm"])
+    owned = [reference.owned.answers[0].tolist() for reference in made.before.references]
+    assert owned == [[1, 1, 1, 0, 1, 1], [1, 1, 1, 1, 0, 0]]  # torso, head, arms, legs
     unrefined = compose_by_parts(three[:2], [WALK, WAVE], rest_joints, centred=False)
     assert torch.equal(made.coupling.motion.rotations, unrefined.motion.rotations)
 

@@ -4,9 +4,9 @@ import pytest
 import torch
 
 from refine.energies import energy_signal, part_energies
-from refine.ownership import by_standing, everything
+from refine.ownership import Divided, as_divided, by_standing, everything
 from refine.synthetic import draw, perform
-from renderers.skeleton import DRAWN_PART_NAMES, PART_NAMES
+from renderers.skeleton import DRAWN_PART_NAMES, PART_NAMES, PARTS
 
 CHANNEL = {name: index for index, name in enumerate(DRAWN_PART_NAMES)}
 
@@ -80,3 +80,20 @@ def test_a_part_needs_standing_to_be_owned():
     for standing, sure in ((0.15, 0.0), (0.225, 0.5), (0.3, 1.0)):
         (i, _), _ = divide({"left_leg": 1.0, "right_leg": standing}, {"left_arm": 1.0})
         assert i["right_leg"] == pytest.approx(sure, abs=1e-6)
+
+
+def test_as_divided_the_owner_answers_and_both_for_what_nobody_claims():
+    def joints(*names):
+        return torch.tensor([any(joint in PARTS[name] for name in names) for joint in range(24)])
+
+    i, j = as_divided(Divided(joints("left_leg", "right_leg", "torso", "left_arm"), joints("torso", "left_arm")))
+    of = {name: (i.answers[0, at].item(), j.answers[0, at].item()) for name, at in CHANNEL.items()}
+    assert of == {
+        "torso": (1, 1),
+        "head": (1, 1),
+        "left_arm": (1, 1),
+        "right_arm": (0, 1),
+        "left_leg": (1, 0),
+        "right_leg": (1, 0),
+    }
+    assert all(torch.equal(side.shown, side.answers > 0) for side in (i, j))

@@ -9,7 +9,8 @@ from refine.decoupling import Decoupler, DecouplingConfig
 from refine.mae import MAE, MAEConfig
 from refine.metrics import joint_errors
 from refine.motion import Motion, crop
-from refine.refinement import Problem, RefinementConfig, gaussian_rows, refine_motion, spread_frames
+from refine.ownership import Divided
+from refine.refinement import BY_PARTS, Problem, RefinementConfig, gaussian_rows, refine_motion, spread_frames
 from refine.seeing import Clips
 from renderers.body import Body
 from renderers.checks import UserError
@@ -163,3 +164,51 @@ def test_a_view_is_compared_with_the_references_of_its_own_frames(pair, decouple
     seen = problem.compare(composed.rotations, frames, slice(1, 2)).references[0].seen
     clips = Clips(i.rotations[None], i.root[None])
     assert torch.allclose(seen.pictures, judge.see(clips, frames, problem.cameras[1:]).pictures, atol=1e-4)
+
+
+@pytest.fixture(scope="module")
+def by_parts():
+    """i moves the right leg and has the torso for want of a better one; j raises the left arm and leans with it."""
+    i, j = standing(right_hip=-0.5), standing(left_shoulder=1.6, spine1=-0.04, spine2=-0.04)
+    arm, torso = (torch.tensor([joint in PARTS[name] for joint in range(24)]) for name in ("left_arm", "torso"))
+    composed = torch.where(arm[:, None, None], j.rotations, i.rotations)
+    return i, j, replace(i, rotations=composed), Divided(~arm, torso)
+
+
+def test_what_nobody_claims_takes_up_the_others_movement(by_parts, decoupler):
+    i, j, composed, divided = by_parts
+    refined = refine_motion(composed, i, j, decoupler, replace(QUICK, steps=40, stay=0, free_rate=0), divided=divided)
+    spine = JOINTS["spine1"]
+    movement = (j.six - j.six.mean(0))[:, spine]
+    moved = (refined.motion.six - composed.six)[:, spine]
+    share = float((moved * movement).sum() / movement.square().sum())
+    assert 0.2 < share < 0.8  # i's picture asks for 0 and j's for 1
+    assert (moved - share * movement).norm() < 0.1 * movement.norm()
+    assert refined.after.loss < refined.before.loss
+
+
+def test_claimed_parts_stay(by_parts, decoupler):
+    i, j, composed, divided = by_parts
+    motion = refine_motion(composed, i, j, decoupler, QUICK, divided=divided).motion
+    moved = (motion.rotations - composed.rotations).abs().amax((0, 2, 3))
+    assert moved[~divided.unclaimed].max() < 1e-6
+    assert moved[divided.unclaimed].max() > 1e-3
+
+
+def test_an_inpainter_without_parts_can_be_asked_too(by_parts):
+    i, j, composed, divided = by_parts
+    mae = MAE(MAEConfig(channels=1, width=48, depth=1, heads=3, decoder_width=32, decoder_depth=1, decoder_heads=2))
+    refined = refine_motion(composed, i, j, Decoupler(Body.free("light"), mae), replace(QUICK, steps=2), None, divided)
+    moved = (refined.motion.rotations - composed.rotations).abs().amax((0, 2, 3))
+    assert moved[~divided.unclaimed].max() < 1e-6
+
+
+def test_by_parts_small_losses_are_followed(by_parts, decoupler):
+    """Without a configuration the one for compositions by parts is taken, which lets shares go far."""
+    assert BY_PARTS.stay < RefinementConfig().stay and BY_PARTS.free_rate < RefinementConfig().free_rate
+    i, j, composed, divided = (*(crop(clip, 4, 8) for clip in by_parts[:3]), by_parts[3])
+    plain, named = (
+        refine_motion(composed, i, j, decoupler, config, divided=divided).motion.rotations
+        for config in (None, BY_PARTS)
+    )
+    assert torch.equal(plain, named)
