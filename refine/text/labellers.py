@@ -7,6 +7,7 @@ from typing import TYPE_CHECKING
 from refine.text.examples import Example, labelled, plain
 from refine.text.lexical import BOTH, FREE, NEITHER, Limbs, Reading, read
 from refine.text.parts import Labelled, Labeller, Parts
+from refine.text.vocabulary import legible, words_of
 from renderers.checks import UserError
 
 if TYPE_CHECKING:
@@ -14,7 +15,7 @@ if TYPE_CHECKING:
     from refine.text.nearest import Nearest
 
 LONGEST = 500  # characters of a phrase
-ALIKE = 0.35  # the least similarity at which a phrase of unknown words alone is still guessed
+LEGIBLE = 0.4  # the least share of common spellings at which a phrase of unknown words alone is still guessed
 
 
 def labeller(encoder: "TextEncoder | None" = None) -> Labeller:
@@ -67,12 +68,12 @@ def _labelled(phrase: str, encoder: "TextEncoder | None") -> Labelled:
         return Labelled(phrase, _as_marked(example, parts_of(reading)), "examples", "labelled by hand")
     if reading.about:
         return Labelled(phrase, parts_of(reading), "words", _why(reading), reading.unknown)
+    words = words_of(phrase)
+    if not words or (len(reading.unknown) == len(words) and legible(words) < LEGIBLE):
+        remedy = "say it otherwise, or list its parts: torso, right arm"
+        raise UserError(repr(phrase), "has no word that is known", remedy)
     nearest = _nearest(encoder)
     guess = nearest(phrase)
-    if guess.similarity < ALIKE and len(reading.unknown) == len(plain(phrase).split()):
-        raise UserError(
-            repr(phrase), "has no word that is known", "say it otherwise, or list its parts: torso, right arm"
-        )
     told = Reading(guess.whole, guess.torso, _many(guess.arms), _many(guess.legs))
     why = f'as "{guess.nearest}", the most alike by {nearest.by} ({guess.similarity:.2f})'
     return Labelled(phrase, parts_of(told), nearest.by, why, reading.unknown)

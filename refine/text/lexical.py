@@ -22,7 +22,7 @@ JOINING = {"and", "while", "whilst", "then", "as", "during", "but", "before", "a
 TARGET = {
     "on", "onto", "upon", "to", "toward", "towards", "over", "against", "behind", "in", "into", "inside", "at", "near",
     "around", "between", "above", "under", "underneath", "below", "across", "off", "from", "through", "beside", "along",
-    "past", "for", "like",
+    "past", "for", "like", "in front of", "in front",
 }  # fmt: skip
 MEANS = {"with", "using", "by"}
 DENYING = {"without", "no", "not", "never"}
@@ -30,6 +30,8 @@ UNMOVED = {"still", "motionless", "stationary"}
 EACH = {"both", "two", "each", "all", "alternating", "alternately"}
 ONE = {"one", "a", "an", "single", "another"}
 OTHER = {"other", "opposite"}
+AGAIN = {"it", "them"}
+MANNER = {"motion", "movement", "manner", "way", "style", "fashion", "pattern"}
 DETERMINERS = {"a", "an", "the", "his", "her", "their", "its", "my", "your", "some", "this", "that", "one", "two"}
 BEFORE_BACK = {
     "and",
@@ -119,6 +121,8 @@ class _Doing:
     parts: list[_Part] = field(default_factory=list)
     things: list[tuple[Meaning, str]] = field(default_factory=list)
     low: bool = False
+    again: bool = False
+    """With what an action before it was done with: "raise an arm and lower it"."""
 
 
 def read(phrase: str) -> Reading:
@@ -134,7 +138,9 @@ def read(phrase: str) -> Reading:
         doings = [_Doing(way, token.text) for token in said if (way := token.kind("way"))]
     moving = [doing for doing in doings if doing.meaning.kind != "rest"]
     told = Reading(unknown=unknown)
-    for doing in doings:
+    for number, doing in enumerate(doings):
+        if number and doing.again and (told.arms or told.legs):
+            continue
         told |= replace(_told(doing, alone=not moving), about=(doing.text,))
     arms, legs = _settled(told.arms - still.arms), _settled(told.legs - still.legs)
     return replace(told, torso=told.torso and not still.torso, arms=arms, legs=legs)
@@ -190,9 +196,12 @@ def _doing_of(clause: Sequence[Token], at: int) -> Meaning | None:
     likened = [each for each in range(at) if clause[each].text == "like"]
     if likened and (way := token.kind("way", "act")):  # "walk like a crab", but not "flap the arms like a bird"
         earlier = [doing for each in range(likened[0]) if (doing := _doing_of(clause, each))]
-        return way if not earlier or earlier[-1].kind == "act" else None
+        return way if not earlier or earlier[-1].whole else None
+    follows = clause[at + 1].kind("act") if at + 1 < len(clause) else None
+    if follows and follows.whole and (way := token.kind("way")):  # "gorilla walk"
+        return way
     doing = token.kind(*DOINGS)
-    if doing is None:
+    if doing is None or _is_manner(clause, at):
         return None
     before = clause[at - 1].text if at else ""
     if token.kind("body"):
@@ -201,6 +210,15 @@ def _doing_of(clause: Sequence[Token], at: int) -> Meaning | None:
         earlier = any(_doing_of(clause, each) for each in range(at))
         return None if before in DETERMINERS or before in TARGET | MEANS or earlier else doing
     return doing
+
+
+def _is_manner(clause: Sequence[Token], at: int) -> bool:
+    """Whether a token says how and not what, as in "in a circle" and "in a swimming motion"."""
+    after = clause[at + 1].text if at + 1 < len(clause) else ""
+    within = any(each.text == "in" for each in clause[max(at - 3, 0) : at])
+    return within and any(_doing_of(clause, each) for each in range(at)) and (
+        clause[at].text == "circle" or after in MANNER
+    )  # fmt: skip
 
 
 def _is_part(clause: Sequence[Token], at: int) -> bool:
@@ -248,11 +266,11 @@ def _limbs_named(clause: Sequence[Token], at: int, last: str) -> tuple[Limbs, se
 
 def _doings(clause: Sequence[Token]) -> list[_Doing]:
     """What is done in a clause, each with its parts and things."""
-    doings = [
-        (at, _Doing(meaning, clause[at].text, clause[at].plural))
-        for at in range(len(clause))
-        if (meaning := _doing_of(clause, at))
-    ]
+    doings: list[tuple[int, _Doing]] = []
+    for at, token in enumerate(clause):
+        if (meaning := _doing_of(clause, at)) and not _leads_on(clause, at):
+            again = meaning.kind == "own" and at + 1 < len(clause) and clause[at + 1].text in AGAIN
+            doings.append((at, _Doing(meaning, token.text, token.plural, again=again)))
     if not doings:
         movers = any(_is_part(clause, at) for at in range(len(clause)))
         things = [thing for token in clause if (thing := token.kind("thing"))]
@@ -277,14 +295,35 @@ def _doings(clause: Sequence[Token]) -> list[_Doing]:
                 last = next(iter(limbs))
             how = "with" if token.text in {"handed", "footed"} else role
             _owner(clause, doings, at, how).parts.append(_Part(meaning, token.text, limbs, how, link))
-        elif (thing := token.kind("thing")) and not any(at == place for place, _ in doings) and role != "target":
-            _owner(clause, doings, at, role).things.append((thing, role))
+        elif (
+            (thing := token.kind("thing", "large") or _unknown_thing(clause, at))
+            and not any(at == place for place, _ in doings)
+            and role != "target"
+        ):
+            _owner(clause, doings, at, role).things.append((thing, link if link == "subject" else role))
         elif token.kind("low"):
             _owner(clause, doings, at, role).low = True
     for at, token in enumerate(clause):
         if token.text in SIDES and at not in used:
             _give_side(clause, doings, at)
     return [doing for _, doing in doings]
+
+
+def _unknown_thing(clause: Sequence[Token], at: int) -> Meaning | None:
+    """A word that is not known is a thing where one is expected: after a verb and an article."""
+    if clause[at].meanings or clause[at].text in JOINING or not at:
+        return None
+    before = clause[at - 1]
+    return Meaning("thing", 0, 0, 1, 0) if before.text in DETERMINERS or before.kind("own", "hand") else None
+
+
+def _leads_on(clause: Sequence[Token], at: int) -> bool:
+    """Whether a verb says only how another action begins, as in "lower into a squat"."""
+    rest = clause[at + 1 :]
+    return clause[at].kind("own") is not None and any(
+        each.text in {"into", "from"} and any(_doing_of(rest, later) for later in range(place, len(rest)))
+        for place, each in enumerate(rest[:2])
+    )
 
 
 def _particle(clause: Sequence[Token], at: int) -> bool:
@@ -344,8 +383,72 @@ def _moved(parts: Iterable[_Part]) -> Reading:
     told = Reading()
     for part in parts:
         meaning = part.meaning
-        told |= Reading(bool(meaning.whole), bool(meaning.torso), part.limbs if meaning.arms else NEITHER,
-                        part.limbs if meaning.legs else NEITHER)  # fmt: skip
+        limbs = BOTH if part.is_a("shoulder") and part.limbs == FREE else part.limbs
+        told |= Reading(bool(meaning.whole), bool(meaning.torso), limbs if meaning.arms else NEITHER,
+                        limbs if meaning.legs else NEITHER)  # fmt: skip
+    return told
+
+
+def _meet(parts: Sequence[_Part]) -> bool:
+    """Whether an elbow and a knee go to each other, so that both move."""
+    return {"knee", "elbow"} <= {part.text for part in parts}
+
+
+def _owner(clause: Sequence[Token], doings: Sequence[tuple[int, _Doing]], at: int, role: str) -> _Doing:
+    """The action that a part or thing belongs to: the one before it; the one right after it in "with arms raised"."""
+    before = [doing for place, doing in doings if place < at]
+    after = [(place, doing) for place, doing in doings if place > at]
+    if not before:
+        return after[0][1] if after else doings[0][1]
+    if after and role == "with":
+        place, doing = after[0]
+        between = clause[at + 1 : place]
+        if doing.meaning.kind in ("own", "put") and not any(each.text in TARGET | MEANS for each in between):
+            return doing
+    return before[-1]
+
+
+def _give_side(clause: Sequence[Token], doings: Sequence[tuple[int, _Doing]], at: int) -> None:
+    """A side that no part has is that of a blow ("left hook", "kick right"), or the way that something goes."""
+    before = clause[at - 1].text if at else ""
+    for place, doing in doings:
+        limb = not doing.meaning.whole and (doing.meaning.arms or doing.meaning.legs)
+        blow = doing.meaning.kind == "leg" or doing.text in STRIKING
+        turned = any(p == at - 1 and d.meaning.whole + d.meaning.torso for p, d in doings)
+        if (place == at + 1 and limb and before != "to" and not turned) or (place == at - 1 and blow):
+            doing.side = doing.side or clause[at].text
+            return
+    for place, doing in doings:
+        if place < at and doing.text in REACHING:
+            doing.hint = clause[at].text
+
+
+def _told(doing: _Doing, alone: bool) -> Reading:
+    """What one action is about."""
+    kind, meaning = doing.meaning.kind, doing.meaning
+    if kind == "own":
+        return _own(doing)
+    if kind == "leg":
+        return _by_leg(doing)
+    if kind in ("put", "hand", "touch", "hold") or (meaning.arms and not meaning.whole and not meaning.legs):
+        return _by_hand(doing)
+    return _act(doing, alone)
+
+
+def _count(number: int, side: str = "") -> Limbs:
+    if not number:
+        return NEITHER
+    return BOTH if number > 1 else frozenset({side}) if side else FREE
+
+
+def _moved(parts: Iterable[_Part]) -> Reading:
+    """The parts themselves."""
+    told = Reading()
+    for part in parts:
+        meaning = part.meaning
+        limbs = BOTH if part.is_a("shoulder") and part.limbs == FREE else part.limbs
+        told |= Reading(bool(meaning.whole), bool(meaning.torso), limbs if meaning.arms else NEITHER,
+                        limbs if meaning.legs else NEITHER)  # fmt: skip
     return told
 
 
@@ -363,11 +466,12 @@ def _own(doing: _Doing) -> Reading:
     if not movers and (meaning.arms or meaning.legs) and not meaning.whole:
         movers = [part for part in means if part.meaning.arms or part.meaning.legs]
     if movers:
-        return _moved(movers + means + _meeting(doing.parts))
+        told = _moved(doing.parts if _meet(doing.parts) else movers + means)
+        return told | Reading(torso=doing.low and bool(told.arms))
     things = [thing.arms for thing, role in doing.things if role == "mover"]
     side = doing.side or doing.hint
     default = Reading(bool(meaning.whole), bool(meaning.torso), _count(meaning.arms, side), _count(meaning.legs, side))
-    if things:
+    if things and (meaning.arms or meaning.whole):
         default = Reading(torso=doing.low or doing.text == "swing", arms=_count(max(things), side))
     return default | _moved(means)
 
@@ -384,6 +488,8 @@ def _by_hand(doing: _Doing) -> Reading:
     others = _moved(part for part in means if not part.meaning.arms and part.meaning.legs)
     if doing.text in SHOWING and (feet := [part for part in objects if part.meaning.legs]):
         return _moved(feet) | others
+    if kind == "touch" and _meet(doing.parts):
+        return _moved(doing.parts)
     if kind == "touch":
         touched = [part for part in objects if not _is_subject(doing, part)]
         hands += [part for part in objects if _is_subject(doing, part)]
@@ -391,7 +497,7 @@ def _by_hand(doing: _Doing) -> Reading:
     else:
         hands += [part for part in objects if part.meaning.arms]
         if doing.text in GRABBING:
-            hands += [replace(part, limbs=BOTH) for part in hands if len(part.limbs & BOTH) and part.link != "subject"]
+            hands += [replace(part, limbs=BOTH) for part in objects if part.meaning.arms and part.link != "subject"]
         legs = [part for part in objects if part.meaning.legs]
         if kind == "hold":
             others |= _moved(legs)
@@ -412,7 +518,7 @@ def _by_hand(doing: _Doing) -> Reading:
                 arms = BOTH if part.limbs & BOTH else arms
             elif part.side in OPPOSITE:
                 arms = frozenset({OPPOSITE[part.side] if part.is_a("shoulder") else part.side})
-    return replace(Reading(False, bends, arms) | others | _moved(_meeting(doing.parts)), about=())
+    return Reading(False, bends, arms) | others
 
 
 def _is_subject(doing: _Doing, part: _Part) -> bool:
@@ -444,7 +550,7 @@ def _act(doing: _Doing, alone: bool) -> Reading:
     if meaning.kind == "rest" and not alone:
         legs = NEITHER
     told = Reading(bool(meaning.whole), bool(meaning.torso), _count(meaning.arms), legs)
-    held = [thing.arms for thing, role in doing.things if role == "with"]
+    held = [thing.arms for thing, role in doing.things if role == "with" and thing.kind == "thing"]
     if held and meaning.whole:
         told |= Reading(arms=_count(max(held)))
     return told | _moved(named)

@@ -20,6 +20,7 @@ if TYPE_CHECKING:
 LENGTHS = (3, 4, 5)  # of the pieces of words that are compared where there is no encoder
 RIDGE = 0.3
 SHARPNESS = {"embedding": 3, "spelling": 1}  # similarities are raised to this power
+OPEN = 0.3  # how much a part is marked where people differ
 AT_ONCE = 128
 
 Vectors = Callable[[Sequence[str]], np.ndarray]
@@ -67,12 +68,8 @@ class Nearest:
         object.__setattr__(self, "_known_vectors", rows)
         wanted = np.array([relative(each) for each in known], float)
         kernel = np.clip(rows @ rows.T, 0, 1) ** SHARPNESS[self.by]
-        weights, means = np.zeros_like(wanted), np.zeros(wanted.shape[1])
-        for column, marks in enumerate(wanted.T):
-            told = ~np.isnan(marks)
-            means[column] = marks[told].mean()
-            ridge = kernel[np.ix_(told, told)] + RIDGE * np.eye(told.sum())
-            weights[told, column] = np.linalg.solve(ridge, marks[told] - means[column])
+        means = wanted.mean(0)
+        weights = np.linalg.solve(kernel + RIDGE * np.eye(len(kernel)), wanted - means)
         return vectors, phrases, weights, means
 
     def _embeddings(self, phrases: Sequence[str]) -> np.ndarray:
@@ -95,14 +92,10 @@ def sideless(phrase: str) -> str:
 
 
 def relative(example: Example) -> list[float]:
-    """Global, torso, an arm, both arms, a leg, both legs: 1, 0, or not a number where people differ."""
-    whole, torso, *limbs = (np.nan if mark is None else float(mark) for mark in example.marks)
-    told = [whole, torso]
-    for pair in (limbs[:2], limbs[2:]):
-        open_ = np.nan if np.isnan(pair).any() else None
-        told.append(1.0 if 1.0 in pair else 0.0 if open_ is None else open_)
-        told.append(0.0 if 0.0 in pair else 1.0 if open_ is None else open_)
-    return told
+    """How much it is about: global, torso, an arm, both arms, a leg, both legs."""
+    whole, torso, *limbs = (OPEN if mark is None else float(mark) for mark in example.marks)
+    arms, legs = limbs[:2], limbs[2:]
+    return [whole, torso, max(arms), min(arms), max(legs), min(legs)]
 
 
 def _pieces(phrase: str) -> set[str]:

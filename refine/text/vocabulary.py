@@ -1,7 +1,7 @@
 """The words that the lexical labeller knows, and how a phrase is cut into them."""
 
 import re
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from difflib import get_close_matches
 from functools import lru_cache
@@ -9,7 +9,7 @@ from importlib import resources
 from typing import NamedTuple
 
 SIDES = ("left", "right")
-BREAKS = re.compile(r"[a-z]+|[,;:.]")
+BREAKS = re.compile(r"[^\W\d_]+|[,;:.]")
 IRREGULAR = {
     "sat": "sit", "stood": "stand", "lay": "lie", "lying": "lie", "lies": "lie", "lain": "lie", "ran": "run",
     "threw": "throw", "thrown": "throw", "caught": "catch", "went": "go", "gone": "go", "goes": "go",
@@ -103,7 +103,7 @@ def stems(word: str) -> Iterator[str]:
     yield word
     if word in IRREGULAR:
         yield IRREGULAR[word]
-    for ending, instead in (("ies", "y"), ("ied", "y"), ("es", ""), ("s", "")):
+    for ending, instead in (("ies", "y"), ("ied", "y"), ("s", ""), ("es", "")):
         if word.endswith(ending) and len(word) > len(ending) + 1 and not word.endswith("ss"):
             yield word[: -len(ending)] + instead
     for ending in ("ing", "ed"):
@@ -160,6 +160,32 @@ def _words() -> tuple[str, ...]:
     return tuple(entry for entry in vocabulary() if " " not in entry and len(entry) >= SHORTEST - 1)
 
 
+def words_of(phrase: str) -> list[str]:
+    """The words of a phrase, without punctuation."""
+    return [word for word in _pieces(phrase) if word.isalpha()]
+
+
+def legible(words: Sequence[str]) -> float:
+    """How much of words looks like words: the share of three letters in a row that known words have as well."""
+    known = _in_a_row()
+    shares = [sum(each in known for each in found) / len(found) for word in words if (found := _threes(word))]
+    return sum(shares) / len(shares) if shares else 0.0
+
+
+def _threes(word: str) -> list[str]:
+    bounded = f"<{word}>"
+    return [bounded[at : at + 3] for at in range(len(bounded) - 2)]
+
+
+@lru_cache(maxsize=1)
+def _in_a_row() -> frozenset[str]:
+    return frozenset(three for entry in vocabulary() for word in entry.split() for three in _threes(word))
+
+
+def _pieces(phrase: str) -> list[str]:
+    return BREAKS.findall(re.sub(r"['’]s?\b", " ", phrase.lower()))
+
+
 def tokens(phrase: str) -> list[Token]:
     """A phrase as known words; those that are not known have no meaning. Commas and the like are tokens as well."""
-    return list(_tokens(BREAKS.findall(re.sub(r"'s?\b|’s?\b", " ", phrase.lower()))))
+    return list(_tokens(_pieces(phrase)))
