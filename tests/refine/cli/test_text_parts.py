@@ -57,6 +57,12 @@ def test_programs_get_the_same(parts):
     assert all(each["by"] and each["unknown"] == [] for each in found["phrases"])
 
 
+def test_words_that_are_not_known_are_said(parts):
+    printed, said = parts(f"{WAVE} and frobnicate", WALK, "--json")
+    assert "not known: frobnicate" in said and said.count("\n") == 1
+    assert [each["unknown"] for each in json.loads(printed)["phrases"]] == [["frobnicate"], []]
+
+
 def test_many_phrases_come_from_a_file(parts, file):
     path = file("phrases.txt", f"\ufeff{WALK}\r\n\n  {WAVE}  \n")
     assert parts("--phrases", path) == parts(WALK, WAVE)
@@ -183,7 +189,7 @@ def test_speeds_are_evaluated_by_the_motions_labels(parts, file):
         ([], "has no phrase"),
         ([""], "is empty"),
         ([WALK, "  "], "is empty"),
-        (["walk " * 101], "505 characters"),
+        (["walk " * 101], "text parts: 'walk walk walk walk walk walk walk walk '... has 505 characters"),
         (["--phrases", "EMPTY"], "is empty"),
         (["--phrases", "BINARY"], "not text in UTF-8"),
         (["--phrases", "missing.txt"], "missing.txt"),

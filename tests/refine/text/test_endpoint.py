@@ -240,6 +240,11 @@ def test_a_server_that_answers_nothing_but_nonsense_is_given_up(fake) -> None:
     assert len(fake.asked) == 3 * 4
 
 
+def test_nonsense_now_and_then_does_not_stop_it(fake) -> None:
+    fake.replies = [reply for _ in range(4) for reply in [*[good("no")] * 4, good("neck")]]
+    assert asking(fake)(*"abcdefgh") == [DEFAULT, ("torso",)] * 4
+
+
 def test_an_error_that_passes_is_forgotten(fake) -> None:
     fake.replies = [failing(500), failing(429, Retry_After="7"), failing(503, Retry_After="nonsense")]
     ask = asking(fake)
@@ -312,6 +317,7 @@ def test_a_key_that_is_none_is_refused_unseen(fake, key: str) -> None:
         "http://[::1/v1",
         "http://host:port/v1",
         "http://user:secret@host/v1",
+        "http://secret@host/v1",
         "http://host/v1?key=secret",
         "http://host /v1",
         "http://host/v1\r\nX: 1",
