@@ -9,11 +9,11 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from refine.text.features import JOINTS
 from renderers.checks import UserError, check_finite, check_shapes
 from renderers.rotations import rotation_about
 from renderers.skeleton import JOINTS as INDEX
 
-JOINTS = 22  # of SMPL-H's body: SMPL's without the hands
 FEET = [INDEX[name] for name in ("left_ankle", "left_foot", "right_ankle", "right_foot")]
 SOFTNESS = 0.5  # of the floor
 
