@@ -1,7 +1,7 @@
 """Evaluations as JSON, and as Markdown tables that say what their figures can and cannot tell."""
 
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from statistics import mean
@@ -62,10 +62,40 @@ METRICS = {
     "multimodality_exact": Metric("multimodality, all pairs", "real"),
     "nearest_true": Metric("error to nearest true", "lower", "cm", 100),
     "covered_true": Metric("error of true to nearest", "lower", "cm", 100),
+    "temos": Metric("TEMOS score", "higher", decimals=3),
+    "ape_root": Metric("APE root", "lower", "m", decimals=3),
+    "ape_trajectory": Metric("APE trajectory", "lower", "m", decimals=3),
+    "ape_local": Metric("APE mean local", "lower", "m", decimals=3),
+    "ape_global": Metric("APE mean global", "lower", "m", decimals=3),
+    "ave_root": Metric("AVE root", "lower", "m²", decimals=3),
+    "ave_trajectory": Metric("AVE trajectory", "lower", "m²", decimals=3),
+    "ave_local": Metric("AVE mean local", "lower", "m²", decimals=3),
+    "ave_global": Metric("AVE mean global", "lower", "m²", decimals=3),
+    "text_top1": Metric("R-precision, top 1", "higher", "%", 100, 1),
+    "text_top3": Metric("R-precision, top 3", "higher", "%", 100, 1),
+    "text_rank": Metric("median rank", "lower", decimals=1),
+    "text_diversity": Metric("diversity", "real", decimals=3),
+    "text_multimodality": Metric("multimodality", decimals=3),
     "foot_skate": Metric("foot skate", "lower", "m/s", 1, 3),
     "floor_penetration": Metric("floor penetration", "lower", "cm", 100),
     "jitter": Metric("jitter", "real", "m/s³", 1, 1),
 }
+
+
+@dataclass(frozen=True)
+class Sayings:
+    """What is said above and below the tables of one kind of evaluation."""
+
+    caution: str
+    """What its figures cannot see."""
+    repeats: str
+    """What a repeat is, and what stands beside the model."""
+    seeds: str
+    truth: str
+    """What the true motions' figures mean."""
+    published: Callable[[], str]
+    """The paper's own figures."""
+
 
 CAUTION = (
     "FID-C and accuracy compare with compositions made by the same mask operator that makes the training pairs, by a "
@@ -82,9 +112,9 @@ OVER_REPEATS = (
 )
 OVER_SEEDS = (
     "Mean over training seeds of the mean over repeats, with its 95 % interval (Student's t over seeds; none for one "
-    "seed). Bold: better than all others, and its interval excludes theirs (the means of rows with one seed). Real: "
-    "compositions that the mask operator makes of training clips, as many; they do not compete."
+    "seed). Bold: better than all others, and its interval excludes theirs (the means of rows with one seed)."
 )
+OF_REAL = "Real: compositions that the mask operator makes of training clips, as many; they do not compete."
 OF_TRUTH = (
     f"{TRUE}: the benchmark's own, measured once in the same way. A method that composed perfectly would have about "
     "this FID-C, which is not the lowest; what compares them with themselves is left out."
@@ -170,6 +200,11 @@ def load_evaluation(path: Path) -> Evaluation:
         raise UserError(path, error.problem, error.remedy) from error
 
 
+def sayings_of(evaluation: Evaluation) -> Sayings:
+    """Those of compositions of labels, or of motions from texts."""
+    return OF_TEXTS if "temos" in evaluation.metrics else OF_LABELS
+
+
 def metric_of(name: str) -> Metric:
     return METRICS.get(name, Metric(name.replace("_", " "), decimals=3))
 
@@ -217,7 +252,8 @@ def evaluation_table(evaluation: Evaluation) -> str:
             rows[-1].append(metric.print(truth))
     head = ["measure", "N", "repeats", "mean", "sd", "95 % interval", "actor_pm", "real against real"]
     head += [TRUE.lower()] if evaluation.truth else []
-    said = "\n\n".join([CAUTION, OVER_REPEATS, *([OF_TRUTH] if evaluation.truth else [])])
+    sayings = sayings_of(evaluation)
+    said = "\n\n".join([sayings.caution, sayings.repeats, *([sayings.truth] if evaluation.truth else [])])
     facts = [f"{name} {number}" for name, number in evaluation.versions.items()]
     facts += [f"{name} `{digest[:12]}`" for name, digest in evaluation.hashes.items()]
     title = f"## {evaluation.row} on {evaluation.benchmark}, training seed {evaluation.seed}"
@@ -264,8 +300,9 @@ def comparison_table(evaluations: Sequence[Evaluation], metrics: Sequence[str] |
     repeats = sorted({len(values) for each in evaluations for values in each.metrics.values()})
     said = f"{first.n} motions a repeat, {' or '.join(map(str, repeats))} repeats a model."
     title = f"## Methods on {first.benchmark}"
-    above = [CAUTION, f"{OVER_SEEDS} {said}", *([OF_TRUTH] if TRUE in rows else [])]
-    return "\n\n".join([title, *above, table(head, body), published_table()]) + "\n"
+    sayings = sayings_of(first)
+    above = [sayings.caution, f"{OVER_SEEDS} {sayings.seeds} {said}", *([sayings.truth] if TRUE in rows else [])]
+    return "\n\n".join([title, *above, table(head, body), sayings.published()]) + "\n"
 
 
 def contrast_table(
@@ -391,3 +428,46 @@ def published_table() -> str:
         f"can be compared with ours. {published.PLUS_MINUS}"
     )
     return "\n\n".join([text, table(head, body), "Doubtful:\n\n" + "\n".join(doubts)])
+
+
+def published_text_table() -> str:
+    """SINC's figures as printed, and what is doubtful about them."""
+    names = published.SINC_MEASURES
+    rows = [
+        [
+            each.method,
+            each.table,
+            *(metric_of(name).print(value) for name, value in zip(names, each.values, strict=True)),
+        ]
+        for each in published.SINC
+    ]
+    head = ["as published", "in", *(metric_of(name).head for name in names)]
+    doubts = [f"- {each.method} ({each.table}): {each.doubt}." for each in published.SINC if each.doubt]
+    text = (
+        "SINC's own figures, on 667 pairs of BABEL, with an encoder that was never released; their released code "
+        "measures headings in a mirrored frame. Only orders and ratios between methods can be compared with ours."
+    )
+    scores = "; ".join(f"{name} {before} to {after}" for name, (before, after) in published.SINC_SCORES.items())
+    scores = f"What is made of single actions changes the TEMOS score so (Table A.1): {scores}."
+    return "\n\n".join([text, table(head, rows), scores, "Doubtful:\n\n" + "\n".join(doubts)])
+
+
+OF_LABELS = Sayings(CAUTION, OVER_REPEATS, OF_REAL, OF_TRUTH, published_table)
+OF_TEXTS = Sayings(
+    caution=(
+        "A text allows many motions, and the clip it is compared with is one of them. APE and AVE are low for motions "
+        "that lack an action, above all a fine one, and for motions that hardly move; the TEMOS score and R-precision "
+        "are only as good as the encoder that gives them, which learned single actions alone. Read them together."
+    ),
+    repeats=(
+        "Repeats draw new motions from one trained model, one a text: sd and the 95 % interval (Student's t) tell how "
+        "exactly this model is measured, not how another training would turn out. APE is a mean over all frames of "
+        "all clips, AVE over clips; multimodality is the mean distance of one text's motions over the repeats."
+    ),
+    seeds="Rows of one seed have no interval.",
+    truth=(
+        "True compositions: the test clips themselves. Their errors are 0 and their TEMOS score 1 by definition and "
+        "left out; R-precision and diversity are what a method that matched them would have."
+    ),
+    published=published_text_table,
+)

@@ -14,6 +14,9 @@ from refine.text.model import TextToMotion, TextToMotionConfig
 from renderers.checks import UserError
 from train.checkpoints import read_weights
 
+TextModel = TextToMotion | LatentDiffusion
+"""What makes motions of texts."""
+
 
 def load_text_to_motion(path: str | Path, kind: str = "text") -> TextToMotion:
     """A trained model in evaluation mode.
@@ -38,7 +41,7 @@ def load_diffusion(path: str | Path) -> LatentDiffusion:
     return load_network(path, "text-diffusion", build)
 
 
-def load_text_model(path: str | Path) -> TextToMotion | LatentDiffusion:
+def load_text_model(path: str | Path) -> TextModel:
     """Either of the two that make motions, whichever it is."""
     described = weights_of(path).with_suffix(".json")
     found = read_json(described, finite=False) if described.is_file() else {}
@@ -67,7 +70,7 @@ def load_network(path: str | Path, kind: str, build: Callable[[dict[str, Any]], 
     return model.eval().requires_grad_(False)
 
 
-def encoder_of(model: TextToMotion | LatentDiffusion, folder: Path | None = None) -> TextEncoder:
+def encoder_of(model: TextModel, folder: Path | None = None) -> TextEncoder:
     """The text encoder that a model was trained with.
 
     Raises:

@@ -2,24 +2,31 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated, Literal
 
 from tyro.conf import Positional, arg
 
 from refine.cli.results import AS_LINES, Printed, Result
 from renderers.checks import UserError
 
+if TYPE_CHECKING:
+    from train.tables import Evaluation
+
 
 @dataclass(frozen=True)
 class Evaluate:
-    """Measure a generator against a benchmark, or put evaluations into one table.
+    """Measure a generator against a benchmark, or text to motion against test clips, or put evaluations into one table.
 
     Writes every value as JSON and a Markdown table beside it. The benchmark is a folder of `refine data benchmark`
     with the recognisers of `refine train recogniser` in it. What is the same for every run (the mask operator on
     training clips, and the true compositions) is measured once and kept there in recognisers/beside.json. It is
     measured anew for another number of repeats, seed, benchmark, recogniser or version, or if that file is removed.
 
+    With --scorer, runs of `refine train text` and `text-diffusion` are measured by SINC's measures on the test clips of
+    what they were trained on, or of --texts.
+
     Example: refine evaluate runs/generator --benchmark synth-c
+    Example: refine evaluate runs/text --scorer runs/text-scorer
     Example: refine evaluate --table runs/*/evaluation.json --against without-dr -o table.md
     """
 
@@ -30,8 +37,24 @@ class Evaluate:
     out: Annotated[Path | None, arg(aliases=["-o"])] = None
     """File to write, .json (the table beside it is .md); evaluation.json in the run folder, unless given. With --table
     a .md, unless the table is only to be printed."""
-    repeats: int = 20
-    """Sets of motions, each as large as the benchmark's, that are drawn and measured."""
+    scorer: Path | None = None
+    """Run folder of `refine train text-scorer`."""
+    texts: Path | None = None
+    """With --scorer: a folder of `refine data texts`, whose test clips are measured."""
+    actions: Literal["pairs", "singles", "all"] = "pairs"
+    """With --scorer: which test clips, of several actions at once, of one, or all."""
+    by: Literal["sentence", "parts"] = "sentence"
+    """With --scorer: pairs from a sentence; or each action alone, put together by the parts that its text is about."""
+    conjunction: str = "while"
+    """With --scorer: how the texts of a pair are said in one sentence, as for `refine generate`."""
+    heading: Literal["correct", "sinc_legacy"] = "correct"
+    """With --scorer: what a body's heading is, or what SINC's released code takes for it."""
+    refined: bool = False
+    """With --scorer: refine each motion through the decoupling loss before it is measured; seconds each."""
+    encoder: Path | None = None
+    """With --scorer: local Hugging Face folder of the text encoder that was trained with, unless it is MiniLM."""
+    repeats: int | None = None
+    """Sets of motions, each as many as are tested, that are drawn and measured; 20 unless given, or 5 with --scorer."""
     row: str = ""
     """What tables call the method; the run's variant, unless given."""
     table: bool = False
@@ -51,15 +74,14 @@ class Evaluate:
             return self.tabulate()
         if self.against is not None:
             raise UserError("--against", "compares rows of a table", "give it with --table and evaluations")
-        if len(self.what) != 1 or self.benchmark is None:
-            raise UserError("refine evaluate", "takes one run and its --benchmark", "for several use --table")
-        return self.measure(self.what[0], self.benchmark)
+        if len(self.what) != 1 or (self.benchmark is None) == (self.scorer is None):
+            problem = "takes one run and its --benchmark, or --scorer for text to motion"
+            raise UserError("refine evaluate", problem, "for several runs use --table")
+        return self.measure(self.what[0])
 
-    def measure(self, run: Path, folder: Path) -> Result:
+    def measure(self, run: Path) -> Result:
         from renderers.outputs import refuse_existing
-        from train.benchmarks import load_benchmark
         from train.checkpoints import replace_file
-        from train.evaluate import EvaluationConfig, evaluate
         from train.loop import check_device
         from train.tables import evaluation_table, save_evaluation
 
@@ -67,14 +89,35 @@ class Evaluate:
         if out.suffix != ".json":
             raise UserError(out, "an evaluation is a .json file", "end its name in .json")
         check_device(self.device)
-        config = EvaluationConfig(repeats=self.repeats, seed=self.seed, device=self.device)
         for path in (out, out.with_suffix(".md")):
             refuse_existing(path, self.force)
-        evaluation = evaluate(run, load_benchmark(folder), config, self.row)
+        evaluation = self.of_labels(run, self.benchmark) if self.benchmark else self.of_texts(run, self.scorer)
         table = evaluation_table(evaluation)
         save_evaluation(out, evaluation)
         replace_file(out.with_suffix(".md"), table.encode())
         return Result(f"{table}\n{out}", (out, out.with_suffix(".md")), {"evaluation": evaluation.to_json()})
+
+    def of_labels(self, run: Path, folder: Path) -> "Evaluation":
+        from train.benchmarks import load_benchmark
+        from train.evaluate import EvaluationConfig, evaluate
+
+        config = EvaluationConfig(repeats=self.repeats or 20, seed=self.seed, device=self.device)
+        return evaluate(run, load_benchmark(folder), config, self.row)
+
+    def of_texts(self, run: Path, scorer: Path) -> "Evaluation":
+        from train.text_evaluate import TextEvaluationConfig, evaluate_text
+
+        config = TextEvaluationConfig(
+            repeats=self.repeats or 5,
+            actions=self.actions,
+            conjunction=self.conjunction,
+            by=self.by,
+            heading=self.heading,
+            refined=self.refined,
+            seed=self.seed,
+            device=self.device,
+        )
+        return evaluate_text(run, scorer, self.texts, config, self.row, self.encoder)
 
     def tabulate(self) -> Result:
         from refine.cli.inputs import expand

@@ -101,7 +101,8 @@ class Generate:
         combine(self.text, self.conjunction)  # refuses what cannot be said before anything is read
         model = load_text_model(self.model)
         encoder, random = encoder_of(model, self.encoder), torch.Generator().manual_seed(self.seed)
-        texts, frames = [self.text] * self.count, frames_of(self.seconds, model.config.fps)
+        texts = [self.text] * self.count
+        frames = [frames_of(self.seconds, model.config.fps)] * self.count
         if self.by == "sentence":
             return generate_described(model, encoder, texts, frames, random, self.conjunction)
         parts = [each.parts for each in labelled_texts(self.text)]

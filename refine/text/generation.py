@@ -33,14 +33,15 @@ def generate_described(
     model: TextToMotion | LatentDiffusion,
     encoder: TextEncoder,
     texts: Sequence[Sequence[str]],
-    frames: int,
+    frames: Sequence[int],
     random: torch.Generator,
     conjunction: str = "while",
 ) -> list[Motion]:
-    """One motion for each of several descriptions, all of ``frames`` frames.
+    """One motion for each of several descriptions.
 
     Args:
         texts: of each motion, what is done at once: one free sentence, or a text for each action.
+        frames: how many each motion has.
         conjunction: how several are said in one sentence; see ``refine.text.sentences``.
 
     Raises:
@@ -48,11 +49,13 @@ def generate_described(
     """
     sentences = [combine(each, conjunction) for each in texts]
     words = separate_words(encoder, texts) if model.config.separate else [encoder.words(sentences)]
-    rotations, root = from_text_features(generate_features(model, words, frames, random).float().cpu())
-    return [
-        Motion(rotations[n], root[n], model.config.fps, sentence[:LABEL], source=f"generated {n}")
-        for n, sentence in enumerate(sentences)
-    ]
+    valid = torch.arange(max(frames)) < torch.tensor(frames)[:, None]
+    features = generate_features(model, words, valid.to(words[0].valid.device), random).float().cpu()
+    made = []
+    for number, (sentence, count) in enumerate(zip(sentences, frames, strict=True)):
+        rotations, root = from_text_features(features[number, :count])
+        made.append(Motion(rotations, root, model.config.fps, sentence[:LABEL], source=f"generated {number}"))
+    return made
 
 
 def generate_by_parts(
@@ -60,13 +63,15 @@ def generate_by_parts(
     encoder: TextEncoder,
     texts: Sequence[Sequence[str]],
     parts: Sequence[Sequence[Parts]],
-    frames: int,
+    frames: Sequence[int],
     random: torch.Generator,
     conjunction: str = "while",
 ) -> list[Motion]:
     """The same by making each action alone and putting them together by ``parts``, which are what each text is about:
     SINC's baseline "single-action GPT-compositing". An action that is left without any part is not seen."""
-    singles = iter(generate_described(model, encoder, [(text,) for each in texts for text in each], frames, random))
+    alone = [(text,) for each in texts for text in each]
+    lengths = [count for each, count in zip(texts, frames, strict=True) for _ in each]
+    singles = iter(generate_described(model, encoder, alone, lengths, random))
     made = []
     for number, (each, about) in enumerate(zip(texts, parts, strict=True)):
         motion = put_together([next(singles) for _ in each], divide(about))

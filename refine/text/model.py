@@ -196,8 +196,8 @@ def separate_words(encoder: TextEncoder, texts: Sequence[Sequence[str]]) -> list
 
 @torch.no_grad()
 def generate_features(
-    model: "TextToMotion | LatentDiffusion", words: Sequence[Words], frames: int, random: torch.Generator
+    model: "TextToMotion | LatentDiffusion", words: Sequence[Words], valid: Tensor, random: torch.Generator
 ) -> Tensor:
-    """One motion for each text -> features [B frames 135]. The model must be in evaluation mode."""
-    latent = model.sample(words, random)
-    return model.decode(latent, torch.ones(len(latent), frames, dtype=torch.bool, device=latent.device))
+    """One motion for each text -> features [B T 135], zero where valid [B T] is not. The model must be in evaluation
+    mode."""
+    return model.decode(model.sample(words, random), valid)

@@ -112,7 +112,7 @@ def test_one_action_beside_two():
 
 def test_generating_draws_from_the_text():
     model, said = network(), words([4, 2])
-    made = [generate_features(model, [said], 5, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)]
+    made = [generate_features(model, [said], torch.ones(2, 5).bool(), torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)]
     assert made[0].shape == (2, 5, WIDTH)
     assert torch.equal(made[0], made[1]) and not torch.equal(made[0], made[2])
     swapped = Words(said.states.flip(0), said.valid.flip(0))
