@@ -1,6 +1,6 @@
 """Flags that choose what says which parts of the body texts are about. Light to import."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -14,6 +14,8 @@ if TYPE_CHECKING:
     from refine.text.parts import Labelled, Labeller
 
 LONGEST_PHRASE = 500  # characters
+MOST_SAID = 10  # lines
+NOBODY = "nobody"  # has labelled a phrase of which nothing is understood
 
 
 @dataclass(frozen=True)
@@ -36,8 +38,11 @@ class Labelling:
         values = {"--answers": self.answers, "--llm-url": self.llm_url, "--llm-model": self.llm_model}
         return [flag for flag, value in values.items() if value is not None]
 
-    def labeller(self) -> "Labeller":
+    def labeller(self, lenient: bool = False) -> "Labeller":
         """The default one, or what the flags ask for with the default one where that has no answer, which is said.
+
+        Args:
+            lenient: phrases of which nothing is understood get no part, instead of being refused.
 
         Raises:
             UserError: the flags contradict each other, or the file or the address cannot be used.
@@ -47,13 +52,14 @@ class Labelling:
 
         if self.llm_model is not None and self.llm_url is None:
             raise UserError("--llm-model", "names a model, but nowhere to ask it", "add --llm-url, or leave it out")
+        default = forgiving(labeller()) if lenient else labeller()
         if self.llm_url is not None:
-            return self._asking()
+            return self._asking(default)
         if self.answers is not None:
-            return by_answers(read_answers(self.answers), labeller(), _say)
-        return labeller()
+            return by_answers(read_answers(self.answers), default, _say)
+        return default
 
-    def _asking(self) -> "Labeller":
+    def _asking(self, default: "Labeller") -> "Labeller":
         import os
         from functools import partial
 
@@ -61,16 +67,31 @@ class Labelling:
 
         from refine.text.chat import Endpoint
         from refine.text.endpoint import by_endpoint
-        from refine.text.labellers import labeller
 
         endpoint = Endpoint(self.llm_url or "", self.llm_model, self.llm_timeout)
         progress = partial(tqdm, desc="ask", unit="phrase", disable=None, leave=False)
-        return by_endpoint(endpoint, labeller(), _say, self.answers, os.environ.get("OPENAI_API_KEY"), progress)
+        return by_endpoint(endpoint, default, _say, self.answers, os.environ.get("OPENAI_API_KEY"), progress)
 
 
 # In a verb: ``labelling: Chosen = BY_DEFAULT``.
 Chosen = Annotated[Labelling, arg(name="")]
 BY_DEFAULT = Labelling()
+
+
+def forgiving(labeller: "Labeller") -> "Labeller":
+    """A labeller that gives no part to phrases which the other refuses: of many, one does not spoil the rest."""
+    from refine.text.parts import Labelled, Parts
+
+    def label(phrases: Sequence[str]) -> list[Labelled]:
+        found = []
+        for phrase in phrases:
+            try:
+                found += labeller([phrase])
+            except UserError as error:
+                found.append(Labelled(phrase, Parts.of(()), NOBODY, error.problem, tuple(phrase.split())))
+        return found
+
+    return label
 
 
 def check_phrases(where: str, phrases: Iterable[str]) -> None:
@@ -88,10 +109,16 @@ def check_phrases(where: str, phrases: Iterable[str]) -> None:
 
 
 def say_unknown(labelled: Iterable["Labelled"], names: Iterable[str]) -> None:
-    """A line on stderr for each text with words that are not known."""
-    for name, each in zip(names, labelled, strict=False):
-        if each.unknown:
-            say(f"refine: {name}: not known: {', '.join(each.unknown)}")
+    """A line on stderr for each text with words that are not known, for the first few of many."""
+    lines = [
+        f"{name}: not known: {', '.join(each.unknown)}"
+        for name, each in zip(names, labelled, strict=False)
+        if each.unknown
+    ]
+    for line in lines[:MOST_SAID]:
+        _say(line)
+    if len(lines) > MOST_SAID:
+        _say(f"and words of {len(lines) - MOST_SAID} more phrases")
 
 
 def _say(line: str) -> None:

@@ -50,18 +50,20 @@ class TextParts:
         self._check_flags()
         if self.velocity is not None:
             return self._by_velocity(self.velocity)
-        from refine.cli.labelling import check_phrases, say_unknown
+        from refine.cli.labelling import NOBODY, check_phrases, say_unknown
 
         labels = self._labels()
         phrases = list(labels) if labels else [*self.texts, *self._lines()]
         if not phrases:
             raise UserError("text parts", "has no phrase", 'give one, such as "walk forwards", or --phrases FILE')
         check_phrases(str(self.evaluate) if labels else "text parts", phrases)
-        labelled = self.labelling.labeller()(phrases)
+        labelled = self.labelling.labeller(lenient=len(phrases) > 1)(phrases)
+        if all(each.by == NOBODY for each in labelled):
+            raise UserError("text parts", "no phrase has a word that is known", "say them otherwise")
         parts = [each.parts for each in labelled]
+        say_unknown(labelled, map(repr, phrases))
         if labels:
             return _evaluated(phrases, labels, parts, [each.by for each in labelled])
-        say_unknown(labelled, map(repr, phrases))
         found = [
             {"phrase": one.phrase, "parts": one.parts.names, "by": one.by, "why": one.why, "unknown": one.unknown}
             for one in labelled

@@ -63,6 +63,19 @@ def test_words_that_are_not_known_are_said(parts):
     assert [each["unknown"] for each in json.loads(printed)["phrases"]] == [["frobnicate"], []]
 
 
+def test_one_phrase_of_many_that_is_not_understood_gets_no_part(parts, file):
+    printed, said = parts("xqzvk", WALK, "--json")
+    assert [each["parts"] for each in json.loads(printed)["phrases"]] == [[], ["global", "left leg", "right leg"]]
+    assert "'xqzvk': not known: xqzvk" in said
+    answers = file("answers.json", {WALK: "neck"})
+    assert "nobody" in parts("xqzvk", WALK, "--answers", answers, "--json")[0]
+
+
+def test_of_many_phrases_not_all_unknown_words_are_said(parts, file):
+    said = parts("--phrases", file("phrases.txt", "\n".join(f"{WAVE} frob{letter}" for letter in "abcdefghijklmno")))[1]
+    assert said.count("\n") == 11 and "5 more" in said
+
+
 def test_many_phrases_come_from_a_file(parts, file):
     path = file("phrases.txt", f"\ufeff{WALK}\r\n\n  {WAVE}  \n")
     assert parts("--phrases", path) == parts(WALK, WAVE)
@@ -188,6 +201,8 @@ def test_speeds_are_evaluated_by_the_motions_labels(parts, file):
     [
         ([], "has no phrase"),
         ([""], "is empty"),
+        (["xqzvk"], "has no word that is known"),
+        (["xqzvk", "zzkqv"], "no phrase has a word that is known"),
         ([WALK, "  "], "is empty"),
         (["walk " * 101], "text parts: 'walk walk walk walk walk walk walk walk '... has 505 characters"),
         (["--phrases", "EMPTY"], "is empty"),
