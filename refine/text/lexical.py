@@ -31,6 +31,7 @@ EACH = {"both", "two", "each", "all", "alternating", "alternately"}
 ONE = {"one", "a", "an", "single", "another"}
 OTHER = {"other", "opposite"}
 AGAIN = {"it", "them"}
+TAKING = {"take", "get"}
 MANNER = {"motion", "movement", "manner", "way", "style", "fashion", "pattern"}
 DETERMINERS = {"a", "an", "the", "his", "her", "their", "its", "my", "your", "some", "this", "that", "one", "two"}
 BEFORE_BACK = {
@@ -116,7 +117,7 @@ class _Doing:
     meaning: Meaning
     text: str
     plural: bool = False
-    side: str = ""
+    sides: set[Side] = field(default_factory=set)
     hint: str = ""
     parts: list[_Part] = field(default_factory=list)
     things: list[tuple[Meaning, str]] = field(default_factory=list)
@@ -201,6 +202,8 @@ def _doing_of(clause: Sequence[Token], at: int) -> Meaning | None:
     if follows and follows.whole and (way := token.kind("way")):  # "gorilla walk"
         return way
     doing = token.kind(*DOINGS)
+    if token.text in TAKING and _takes(clause[at + 1 :]):
+        return Meaning("hand", 0, 0, 1, 0)
     if doing is None or _is_manner(clause, at):
         return None
     before = clause[at - 1].text if at else ""
@@ -212,9 +215,21 @@ def _doing_of(clause: Sequence[Token], at: int) -> Meaning | None:
     return doing
 
 
+def _takes(rest: Sequence[Token]) -> bool:
+    """Whether a thing is taken, and not a step or a hand away."""
+    for token in rest:
+        if token.text in JOINING or token.kind("body", *DOINGS):
+            return False
+        if token.kind("thing"):
+            return True
+    return False
+
+
 def _is_manner(clause: Sequence[Token], at: int) -> bool:
-    """Whether a token says how and not what, as in "in a circle" and "in a swimming motion"."""
+    """Whether a token says how and not what, as in "in a circle" and "in a swimming motion", or where: "on a step"."""
     after = clause[at + 1].text if at + 1 < len(clause) else ""
+    if clause[at].text == "step" and at and clause[at - 1].text in TARGET | {"the"}:
+        return any(_doing_of(clause, each) for each in range(at))
     within = any(each.text == "in" for each in clause[max(at - 3, 0) : at])
     return within and any(_doing_of(clause, each) for each in range(at)) and (
         clause[at].text == "circle" or after in MANNER
@@ -298,7 +313,7 @@ def _doings(clause: Sequence[Token]) -> list[_Doing]:
         elif (
             (thing := token.kind("thing", "large") or _unknown_thing(clause, at))
             and not any(at == place for place, _ in doings)
-            and role != "target"
+            and (role != "target" or doings[0][0] < 0)
         ):
             _owner(clause, doings, at, role).things.append((thing, link if link == "subject" else role))
         elif token.kind("low"):
@@ -320,6 +335,9 @@ def _unknown_thing(clause: Sequence[Token], at: int) -> Meaning | None:
 def _leads_on(clause: Sequence[Token], at: int) -> bool:
     """Whether a verb says only how another action begins, as in "lower into a squat"."""
     rest = clause[at + 1 :]
+    if clause[at].text == "give":  # "give a nod"
+        after = [each for each in range(len(rest)) if rest[each].text not in DETERMINERS]
+        return bool(after) and _doing_of(rest, after[0]) is not None
     return clause[at].kind("own") is not None and any(
         each.text in {"into", "from"} and any(_doing_of(rest, later) for later in range(place, len(rest)))
         for place, each in enumerate(rest[:2])
@@ -348,12 +366,15 @@ def _owner(clause: Sequence[Token], doings: Sequence[tuple[int, _Doing]], at: in
 def _give_side(clause: Sequence[Token], doings: Sequence[tuple[int, _Doing]], at: int) -> None:
     """A side that no part has is that of a blow ("left hook", "kick right"), or the way that something goes."""
     before = clause[at - 1].text if at else ""
+    end = at + 1
+    while end + 1 < len(clause) and clause[end].text in {"and", "or", "then"} and clause[end + 1].text in SIDES:
+        end += 2
     for place, doing in doings:
         limb = not doing.meaning.whole and (doing.meaning.arms or doing.meaning.legs)
         blow = doing.meaning.kind == "leg" or doing.text in STRIKING
         turned = any(p == at - 1 and d.meaning.whole + d.meaning.torso for p, d in doings)
-        if (place == at + 1 and limb and before != "to" and not turned) or (place == at - 1 and blow):
-            doing.side = doing.side or clause[at].text
+        if (place == end and limb and before != "to" and not turned) or (place == at - 1 and blow):
+            doing.sides.add(clause[at].text)
             return
     for place, doing in doings:
         if place < at and doing.text in REACHING:
@@ -372,10 +393,10 @@ def _told(doing: _Doing, alone: bool) -> Reading:
     return _act(doing, alone)
 
 
-def _count(number: int, side: str = "") -> Limbs:
+def _count(number: int, sides: Iterable[Side] = ()) -> Limbs:
     if not number:
         return NEITHER
-    return BOTH if number > 1 else frozenset({side}) if side else FREE
+    return BOTH if number > 1 else frozenset(sides) or FREE
 
 
 def _moved(parts: Iterable[_Part]) -> Reading:
@@ -394,70 +415,6 @@ def _meet(parts: Sequence[_Part]) -> bool:
     return {"knee", "elbow"} <= {part.text for part in parts}
 
 
-def _owner(clause: Sequence[Token], doings: Sequence[tuple[int, _Doing]], at: int, role: str) -> _Doing:
-    """The action that a part or thing belongs to: the one before it; the one right after it in "with arms raised"."""
-    before = [doing for place, doing in doings if place < at]
-    after = [(place, doing) for place, doing in doings if place > at]
-    if not before:
-        return after[0][1] if after else doings[0][1]
-    if after and role == "with":
-        place, doing = after[0]
-        between = clause[at + 1 : place]
-        if doing.meaning.kind in ("own", "put") and not any(each.text in TARGET | MEANS for each in between):
-            return doing
-    return before[-1]
-
-
-def _give_side(clause: Sequence[Token], doings: Sequence[tuple[int, _Doing]], at: int) -> None:
-    """A side that no part has is that of a blow ("left hook", "kick right"), or the way that something goes."""
-    before = clause[at - 1].text if at else ""
-    for place, doing in doings:
-        limb = not doing.meaning.whole and (doing.meaning.arms or doing.meaning.legs)
-        blow = doing.meaning.kind == "leg" or doing.text in STRIKING
-        turned = any(p == at - 1 and d.meaning.whole + d.meaning.torso for p, d in doings)
-        if (place == at + 1 and limb and before != "to" and not turned) or (place == at - 1 and blow):
-            doing.side = doing.side or clause[at].text
-            return
-    for place, doing in doings:
-        if place < at and doing.text in REACHING:
-            doing.hint = clause[at].text
-
-
-def _told(doing: _Doing, alone: bool) -> Reading:
-    """What one action is about."""
-    kind, meaning = doing.meaning.kind, doing.meaning
-    if kind == "own":
-        return _own(doing)
-    if kind == "leg":
-        return _by_leg(doing)
-    if kind in ("put", "hand", "touch", "hold") or (meaning.arms and not meaning.whole and not meaning.legs):
-        return _by_hand(doing)
-    return _act(doing, alone)
-
-
-def _count(number: int, side: str = "") -> Limbs:
-    if not number:
-        return NEITHER
-    return BOTH if number > 1 else frozenset({side}) if side else FREE
-
-
-def _moved(parts: Iterable[_Part]) -> Reading:
-    """The parts themselves."""
-    told = Reading()
-    for part in parts:
-        meaning = part.meaning
-        limbs = BOTH if part.is_a("shoulder") and part.limbs == FREE else part.limbs
-        told |= Reading(bool(meaning.whole), bool(meaning.torso), limbs if meaning.arms else NEITHER,
-                        limbs if meaning.legs else NEITHER)  # fmt: skip
-    return told
-
-
-def _meeting(parts: Sequence[_Part]) -> list[_Part]:
-    """The knee that an elbow goes to, and the other way round."""
-    names = {part.text for part in parts if part.role != "target"}
-    return [part for part in parts if part.role == "target" and {part.text, *names} >= {"knee", "elbow"}]
-
-
 def _own(doing: _Doing) -> Reading:
     """Parts move: those that are named, or those that the verb usually means."""
     meaning = doing.meaning
@@ -467,12 +424,15 @@ def _own(doing: _Doing) -> Reading:
         movers = [part for part in means if part.meaning.arms or part.meaning.legs]
     if movers:
         told = _moved(doing.parts if _meet(doing.parts) else movers + means)
-        return told | Reading(torso=doing.low and bool(told.arms))
+        turned = bool(meaning.whole) and any(part.text == "body" for part in movers)
+        return told | Reading(turned, doing.low and bool(told.arms), legs=_count(meaning.legs) if turned else NEITHER)
     things = [thing.arms for thing, role in doing.things if role == "mover"]
-    side = doing.side or doing.hint
-    default = Reading(bool(meaning.whole), bool(meaning.torso), _count(meaning.arms, side), _count(meaning.legs, side))
+    sides = doing.sides or {doing.hint} - {""}
+    default = Reading(
+        bool(meaning.whole), bool(meaning.torso), _count(meaning.arms, sides), _count(meaning.legs, sides)
+    )
     if things and (meaning.arms or meaning.whole):
-        default = Reading(torso=doing.low or doing.text == "swing", arms=_count(max(things), side))
+        default = Reading(torso=doing.low or doing.text == "swing", arms=_count(max(things), sides))
     return default | _moved(means)
 
 
@@ -483,6 +443,9 @@ def _by_hand(doing: _Doing) -> Reading:
     means = [part for part in doing.parts if part.role == "with" or (part.link in ("in", "from") and part.is_a("arm"))]
     passed = any(part.link == "from" for part in means)
     hands = [part for part in means if part.meaning.arms]
+    feet = [part for part in means if part.meaning.legs and not part.meaning.arms]
+    if feet and not hands:  # "draw a circle with the left foot"
+        return _moved(feet)
     hands += [part for part in doing.parts if passed and part.link == "to" and part.is_a("arm")]
     targets = [part for part in doing.parts if part.role == "target" and part not in hands]
     others = _moved(part for part in means if not part.meaning.arms and part.meaning.legs)
@@ -499,18 +462,18 @@ def _by_hand(doing: _Doing) -> Reading:
         if doing.text in GRABBING:
             hands += [replace(part, limbs=BOTH) for part in objects if part.meaning.arms and part.link != "subject"]
         legs = [part for part in objects if part.meaning.legs]
-        if kind == "hold":
+        if kind == "hold" or any(part in hands for part in objects):
             others |= _moved(legs)
         elif kind == "put" and not hands and objects:
             return _moved(objects) | others
     bends = bool(meaning.torso) or doing.low or any(part.is_a("foot") for part in targets)
     if hands:
         arms = frozenset().union(*(part.limbs for part in hands))
-    elif doing.side:
-        arms = frozenset({doing.side})
+    elif doing.sides:
+        arms = frozenset(doing.sides)
     else:
         size = max([thing.arms for thing, role in doing.things if role == "mover"] or [0]) if kind != "touch" else 0
-        arms = _count(max(meaning.arms, size), doing.hint)
+        arms = _count(max(meaning.arms, size), {doing.hint} - {""})
         for part in targets if arms == FREE else ():
             if part.limbs == BOTH and part.text in PAIRED:
                 arms = BOTH
@@ -532,8 +495,8 @@ def _by_leg(doing: _Doing) -> Reading:
     legs = [part for part in legs if part.limbs != FREE or part.link != "on"]  # who balances on one leg uses both
     rest = [part for part in doing.parts if part.role != "target" and not part.meaning.legs]
     which = frozenset().union(*(part.limbs for part in legs)) if legs else _count(doing.meaning.legs + doing.plural)
-    if doing.side and not legs:
-        which = frozenset({doing.side})
+    if doing.sides and not legs:
+        which = frozenset(doing.sides)
     told = Reading(bool(doing.meaning.whole), bool(doing.meaning.torso), _count(doing.meaning.arms), which)
     return told | _moved(rest)
 

@@ -19,8 +19,8 @@ if TYPE_CHECKING:
 
 LENGTHS = (3, 4, 5)  # of the pieces of words that are compared where there is no encoder
 RIDGE = 0.3
-SHARPNESS = {"embedding": 3, "spelling": 1}  # similarities are raised to this power
-OPEN = 0.3  # how much a part is marked where people differ
+SHARPNESS = {"embedding": 2, "spelling": 1}  # similarities are raised to this power
+OPEN = 0.4  # how much a part is marked where people differ
 AT_ONCE = 128
 
 Vectors = Callable[[Sequence[str]], np.ndarray]
