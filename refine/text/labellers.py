@@ -4,8 +4,9 @@ from collections.abc import Sequence
 from functools import lru_cache
 from typing import TYPE_CHECKING
 
+from refine.text.clauses import BOTH, FREE, NEITHER, Limbs
 from refine.text.examples import Example, labelled, plain
-from refine.text.lexical import BOTH, FREE, NEITHER, Limbs, Reading, read
+from refine.text.lexical import Reading, read
 from refine.text.parts import Labelled, Labeller, Parts
 from refine.text.vocabulary import legible, words_of
 from renderers.checks import UserError
