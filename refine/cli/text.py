@@ -152,14 +152,18 @@ def _marks(names: Sequence[str], parts: "Sequence[Parts]") -> str:
 
 
 def _evaluated(
-    phrases: Sequence[str], labels: "Mapping[str, Label]", parts: "Sequence[Parts]", by: Sequence[str]
+    phrases: Sequence[str],
+    labels: "Mapping[str, Label]",
+    parts: "Sequence[Parts]",
+    by: Sequence[str],
+    what: str = "phrases",
 ) -> Result:
     from collections import Counter
 
     from refine.text.accuracy import accuracy, report
 
     found, makers = accuracy(phrases, [labels[phrase] for phrase in phrases], parts), Counter(by)
-    return Result(report(found, " and ".join(makers)), values=found.values() | {"by": dict(makers)})
+    return Result(report(found, " and ".join(makers), what), values=found.values() | {"by": dict(makers)})
 
 
 def _evaluated_motions(
@@ -181,4 +185,4 @@ def _evaluated_motions(
         more = f" and {len(lacking) - 5} more" if len(lacking) > 5 else ""
         say(f"refine: not labelled by hand and left out: {', '.join(lacking[:5])}{more}")
     pairs = [(name, each) for name, each in zip(known, parts, strict=True) if name is not None]
-    return _evaluated([name for name, _ in pairs], labels, [each for _, each in pairs], [by] * len(pairs))
+    return _evaluated([name for name, _ in pairs], labels, [each for _, each in pairs], [by] * len(pairs), "motions")

@@ -134,17 +134,17 @@ def table(rows: Mapping[str, Sequence[float]]) -> str:
     return "\n".join(lines)
 
 
-def report(found: Accuracy, by: str, worst: int = 10) -> str:
-    """For people: both rows beside the paper's, and the phrases that were labelled wrong most."""
+def report(found: Accuracy, by: str, what: str = "phrases", worst: int = 10) -> str:
+    """For people: both rows beside the paper's, and what was labelled wrong most."""
     names = list(found.parts.values())
     rows: dict[str, Sequence[float]] = {
-        f"{by}, {found.n} phrases": [*(each.accuracy for each in names), found.mean],
+        f"{by}, {found.n} {what}": [*(each.accuracy for each in names), found.mean],
         "  optional counted as wrong": [*(each.strict for each in names), found.mean_strict],
         **{f"paper: {name}": values for name, values in PUBLISHED.items()},
     }
     lines = [table(rows)]
     if found.wrong:
-        lines += [f"{len(found.wrong)} of {found.n} phrases have a wrong part; the most:"]
+        lines += [f"{len(found.wrong)} of {found.n} {what} have a wrong part; the most:"]
         lines += [f'  "{each.phrase}": {", ".join(each.parts)}' for each in found.wrong[:worst]]
     return "\n".join(lines)
 

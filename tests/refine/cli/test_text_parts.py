@@ -190,7 +190,7 @@ def test_speeds_are_evaluated_by_the_motions_labels(parts, file):
     found = json.loads(printed)
     assert found["n"] == 2 and found["by"] == {"velocity, code": 2}
     assert found["wrong"] == [{"phrase": "wave-right-hand", "parts": ["torso"]}]
-    assert "walk" in said and "velocity, code, 2 phrases" in parts(*words)[0]
+    assert "walk" in said and "velocity, code, 2 motions" in parts(*words)[0]
 
 
 # --- refused ---------------------------------------------------------------------------------------------------------

@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 
 from refine.text.accuracy import PUBLISHED, accuracy, read_labels, report
+from refine.text.labellers import labeller
 from refine.text.parts import BODY_PARTS, Parts
 from renderers.checks import UserError
 
@@ -96,6 +97,20 @@ def test_labels_of_another_shape_are_refused(file, content, said: str) -> None:
 def test_a_phrase_with_two_labels_is_refused(file) -> None:
     with pytest.raises(UserError, match="'walk' twice"):
         read_labels(file('{"walk": [1, 0, 0, 0, 1, 1], "walk": [1, 0, 0, 0, 1, 0]}'))
+
+
+def test_the_default_labeller_on_phrases_that_it_was_not_made_from() -> None:
+    """304 phrases in the style of BABEL and HumanML3D, written by somebody who had not seen its words or examples."""
+    labels = read_labels(Path(__file__).parent / "labels.json")
+    found = labeller()(list(labels))
+    unseen = [number for number, each in enumerate(found) if each.by != "examples"]
+    assert len(labels) >= 200 and len(unseen) >= 150
+    phrases, values, parts = list(labels), list(labels.values()), [each.parts for each in found]
+    assert accuracy(phrases, values, parts).mean > 0.93
+    alone = accuracy(*([column[number] for number in unseen] for column in (phrases, values, parts)))
+    assert alone.mean > 0.92  # of the phrases that no example happens to be
+    decided = [tuple(value if value != 0.5 else 0.0 for value in label) for label in values]
+    assert accuracy(phrases, decided, parts).mean > 0.88  # were all that is optional not part of it
 
 
 def test_nothing_cannot_be_counted() -> None:
