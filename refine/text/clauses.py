@@ -2,6 +2,8 @@
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field
+from functools import lru_cache
+from itertools import pairwise
 from typing import Literal
 
 from refine.text.vocabulary import SIDES, Meaning, Token
@@ -12,6 +14,7 @@ Limbs = frozenset[Side]
 NEITHER: Limbs = frozenset()
 FREE: Limbs = frozenset({"free"})
 BOTH: Limbs = frozenset(SIDES)
+Clause = tuple[Token, ...]
 OPPOSITE: dict[str, Side] = {"left": "right", "right": "left"}
 
 DOINGS = ("act", "own", "put", "hand", "touch", "hold", "leg", "rest")
@@ -74,28 +77,24 @@ class Doing:
     """With what an action before it was done with: "raise an arm and lower it"."""
 
 
-def clauses_of(said: Sequence[Token]) -> list[list[Token]]:
+def clauses_of(said: Sequence[Token]) -> list[Clause]:
     """One for each thing that is done. What names no action goes with the clause before it, or else after it."""
-    clauses: list[list[Token]] = [[]]
-    for token in said:
-        if token.text in JOINING:
-            clauses.append([token])
-        else:
-            clauses[-1].append(token)
-    joined: list[list[Token]] = []
-    for clause in clauses:
+    starts = [0, *(at for at, token in enumerate(said) if token.text in JOINING and at), len(said)]
+    joined: list[Clause] = []
+    for start, end in pairwise(starts):
+        clause = tuple(said[start:end])
         if joined and (not _acts(clause) or not _acts(joined[-1])) and not keeps_still(clause):
-            joined[-1] = joined[-1] + clause
+            joined[-1] += clause
         else:
             joined.append(clause)
     return joined
 
 
-def keeps_still(clause: Sequence[Token]) -> bool:
+def keeps_still(clause: Clause) -> bool:
     return any(token.text in UNMOVED for token in clause) and any(token.kind("body") for token in clause)
 
 
-def doings_of(clause: Sequence[Token]) -> list[Doing]:
+def doings_of(clause: Clause) -> list[Doing]:
     """What is done in a clause, each with its parts and things."""
     doings: list[tuple[int, Doing]] = []
     for at, token in enumerate(clause):
@@ -139,11 +138,12 @@ def doings_of(clause: Sequence[Token]) -> list[Doing]:
     return [doing for _, doing in doings]
 
 
-def _acts(clause: Sequence[Token]) -> bool:
+def _acts(clause: Clause) -> bool:
     return any(_doing_of(clause, at) for at in range(len(clause)))
 
 
-def _doing_of(clause: Sequence[Token], at: int) -> Meaning | None:
+@lru_cache(maxsize=4096)
+def _doing_of(clause: Clause, at: int) -> Meaning | None:
     """The action that a token names in its clause, where it is not the name of a thing or of a part."""
     token = clause[at]
     likened = [each for each in range(at) if clause[each].text == "like"]
@@ -167,7 +167,7 @@ def _doing_of(clause: Sequence[Token], at: int) -> Meaning | None:
     return doing
 
 
-def _takes(rest: Sequence[Token]) -> bool:
+def _takes(rest: Clause) -> bool:
     """Whether a thing is taken, and not a step or a hand away."""
     for token in rest:
         if token.text in JOINING or token.kind("body", *DOINGS):
@@ -177,18 +177,17 @@ def _takes(rest: Sequence[Token]) -> bool:
     return False
 
 
-def _is_manner(clause: Sequence[Token], at: int) -> bool:
+def _is_manner(clause: Clause, at: int) -> bool:
     """Whether a token says how and not what, as in "in a circle" and "in a swimming motion", or where: "on a step"."""
     after = clause[at + 1].text if at + 1 < len(clause) else ""
     if clause[at].text == "step" and at and clause[at - 1].text in TARGET | {"the"}:
         return any(_doing_of(clause, each) for each in range(at))
     within = any(each.text == "in" for each in clause[max(at - 3, 0) : at])
-    return within and any(_doing_of(clause, each) for each in range(at)) and (
-        clause[at].text == "circle" or after in MANNER
-    )  # fmt: skip
+    manner = clause[at].text == "circle" or clause[at].kind("leg") is not None or after in MANNER
+    return within and manner and any(_doing_of(clause, each) for each in range(at))
 
 
-def _is_part(clause: Sequence[Token], at: int) -> bool:
+def _is_part(clause: Clause, at: int) -> bool:
     """Whether a token names a part of the body here."""
     token = clause[at]
     if not token.kind("body"):
@@ -203,7 +202,7 @@ def _is_part(clause: Sequence[Token], at: int) -> bool:
     return True
 
 
-def _leads_on(clause: Sequence[Token], at: int) -> bool:
+def _leads_on(clause: Clause, at: int) -> bool:
     """Whether a verb says only how another action begins, as in "lower into a squat"."""
     rest = clause[at + 1 :]
     if clause[at].text == "give":  # "give a nod"
@@ -215,7 +214,7 @@ def _leads_on(clause: Sequence[Token], at: int) -> bool:
     )
 
 
-def _limbs_named(clause: Sequence[Token], at: int, last: str) -> tuple[Limbs, set[int]]:
+def _limbs_named(clause: Clause, at: int, last: str) -> tuple[Limbs, set[int]]:
     """Whose side a named limb is, by the words before it; and which words said so."""
     found: set[str] = set()
     used: set[int] = set()
@@ -241,7 +240,7 @@ def _limbs_named(clause: Sequence[Token], at: int, last: str) -> tuple[Limbs, se
     return FREE, used
 
 
-def _unknown_thing(clause: Sequence[Token], at: int) -> Meaning | None:
+def _unknown_thing(clause: Clause, at: int) -> Meaning | None:
     """A word that is not known is a thing where one is expected: after a verb and an article."""
     if clause[at].meanings or clause[at].text in JOINING or not at:
         return None
@@ -249,12 +248,12 @@ def _unknown_thing(clause: Sequence[Token], at: int) -> Meaning | None:
     return Meaning("thing", 0, 0, 1, 0) if before.text in DETERMINERS or before.kind("own", "hand") else None
 
 
-def _particle(clause: Sequence[Token], at: int) -> bool:
+def _particle(clause: Clause, at: int) -> bool:
     """Whether a preposition belongs to a verb here, as in "put a hand in"."""
     return at + 1 == len(clause) or clause[at + 1].text in JOINING
 
 
-def _owner(clause: Sequence[Token], doings: Sequence[tuple[int, Doing]], at: int, role: str) -> Doing:
+def _owner(clause: Clause, doings: Sequence[tuple[int, Doing]], at: int, role: str) -> Doing:
     """The action that a part or thing belongs to: the one before it; the one right after it in "with arms raised"."""
     before = [doing for place, doing in doings if place < at]
     after = [(place, doing) for place, doing in doings if place > at]
@@ -268,7 +267,7 @@ def _owner(clause: Sequence[Token], doings: Sequence[tuple[int, Doing]], at: int
     return before[-1]
 
 
-def _give_side(clause: Sequence[Token], doings: Sequence[tuple[int, Doing]], at: int) -> None:
+def _give_side(clause: Clause, doings: Sequence[tuple[int, Doing]], at: int) -> None:
     """A side that no part has is that of a blow ("left hook", "kick right"), or the way that something goes."""
     before = clause[at - 1].text if at else ""
     end = at + 1

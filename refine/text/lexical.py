@@ -14,6 +14,7 @@ from refine.text.clauses import (
     MEANS,
     NEITHER,
     OPPOSITE,
+    Clause,
     Doing,
     Limbs,
     Part,
@@ -22,7 +23,7 @@ from refine.text.clauses import (
     doings_of,
     keeps_still,
 )  # fmt: skip
-from refine.text.vocabulary import Token, tokens
+from refine.text.vocabulary import tokens
 
 DENYING = {"without", "no", "not", "never"}
 ON_ONE_LEG = {
@@ -92,7 +93,7 @@ def _settled(limbs: Limbs) -> Limbs:
     return limbs - FREE if limbs & BOTH else limbs
 
 
-def _without_denied(clause: list[Token]) -> tuple[list[Token], Reading]:
+def _without_denied(clause: Clause) -> tuple[Clause, Reading]:
     """A clause without what it says does not happen, and the parts that it says are still."""
     start = next((at for at, token in enumerate(clause) if token.text in DENYING), len(clause))
     if keeps_still(clause):
