@@ -57,7 +57,7 @@ class TextParts:
         if not phrases:
             raise UserError("text parts", "has no phrase", 'give one, such as "walk forwards", or --phrases FILE')
         check_phrases(str(self.evaluate) if labels else "text parts", phrases)
-        labelled = self.labelling.labeller(lenient=len(phrases) > 1)(phrases)
+        labelled = self.labelling.labeller(lenient=len(phrases) > 1 or bool(labels))(phrases)
         if all(each.by == NOBODY for each in labelled):
             raise UserError("text parts", "no phrase has a word that is known", "say them otherwise")
         parts = [each.parts for each in labelled]

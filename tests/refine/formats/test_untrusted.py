@@ -112,6 +112,16 @@ def test_json(tmp_path):
         assert "\n" not in str(caught.value)
 
 
+def test_objects_with_a_key_twice_are_refused_where_that_is_asked_for(tmp_path):
+    path = tmp_path / "a.json"
+    path.write_text('{"a": {"walk": 1, "walk": 2}}')
+    assert read_json(path) == {"a": {"walk": 2}}
+    with pytest.raises(UserError, match="has 'walk' twice"):
+        read_json(path, unique=True)
+    path.write_text('[{"a": 1}, {"a": 2}]')
+    assert read_json(path, unique=True) == [{"a": 1}, {"a": 2}]
+
+
 @given(
     st.recursive(
         st.none() | st.booleans() | st.integers() | st.floats(allow_nan=False, allow_infinity=False) | st.text(),
