@@ -46,7 +46,7 @@ class Endpoint:
         if problem:
             raise UserError("--llm-url", problem, "give an address such as http://localhost:8000/v1")
         if not 0 < self.timeout <= 3600:
-            raise UserError("timeout", f"expected more than 0 and at most 3600 seconds, got {self.timeout:g}")
+            raise UserError("--llm-timeout", f"expected more than 0 and at most 3600 seconds, got {self.timeout:g}")
         if not 1 <= self.tries <= 10:
             raise UserError("tries", f"expected 1 to 10, got {self.tries}")
         object.__setattr__(self, "url", self.url.rstrip("/"))
@@ -160,12 +160,10 @@ class Server:
         except urllib.error.HTTPError as error:
             with error:
                 self._refused(error, until)
-        except (OSError, http.client.HTTPException) as error:
+        except (OSError, http.client.HTTPException, UnicodeError) as error:  # the last of a name that no host can have
             cause = getattr(error, "reason", error)
-            late = f"in {self.endpoint.timeout:g} s"
-            why = (
-                late if isinstance(cause, TimeoutError) else f"({_short(getattr(cause, 'strerror', '') or str(cause))})"
-            )
+            reason = f"({_short(getattr(cause, 'strerror', '') or str(cause))})"
+            why = f"in {self.endpoint.timeout:g} s" if isinstance(cause, TimeoutError) else reason
             raise _Passing(f"no answer {why}", kind=Silence) from None
         try:
             return parse_json(self.endpoint.url, reply)
@@ -218,9 +216,9 @@ def _wait(after: str | None) -> float | None:
     """Seconds that a Retry-After asks for, which is a number of them or a date."""
     if not after:
         return None
-    with suppress(ValueError):
+    with suppress(ValueError, OverflowError):
         return max(0.0, float(int(after)))
-    with suppress(ValueError, TypeError):
+    with suppress(ValueError, TypeError, OverflowError):
         when = parsedate_to_datetime(after)
         return max(0.0, (when.replace(tzinfo=when.tzinfo or UTC) - datetime.now(UTC)).total_seconds())
     return None

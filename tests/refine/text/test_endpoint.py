@@ -180,6 +180,11 @@ def test_a_server_that_is_down_is_tried_and_then_left(tmp_path) -> None:
         assert [each.by for each in ask.found][::2] == ["default", "default"]
 
 
+def test_a_name_that_no_host_has_is_like_one_that_is_down() -> None:
+    ask = Asked(Endpoint("http://a..b/v1", "small"))
+    assert ask("walk") == [DEFAULT] and "no answer (" in ask.said[0]
+
+
 def drip(handler: BaseHTTPRequestHandler) -> None:
     """Never late with the next byte."""
     handler.send_response(200)
@@ -261,6 +266,7 @@ def test_nobody_waits_for_an_hour(fake) -> None:
 def test_a_server_may_name_the_moment() -> None:
     assert _wait("Wed, 21 Oct 2015 07:28:00 GMT") == 0
     assert _wait("Wed, 21 Oct 2065 07:28:00 GMT") > 1e6
+    assert _wait("9" * 400) is None and _wait("9" * 9000) is None
     assert _wait("-5") == 0 and _wait("soon") is None and _wait(None) is None
 
 
