@@ -8,12 +8,12 @@ from refine.text.clauses import BOTH, FREE, NEITHER, Limbs
 from refine.text.examples import Example, labelled, plain
 from refine.text.lexical import Reading, read
 from refine.text.parts import Labelled, Labeller, Parts
-from refine.text.vocabulary import legible, words_of
+from refine.text.vocabulary import SIDES, legible, words_of
 from renderers.checks import UserError
 
 if TYPE_CHECKING:
     from refine.text.encoder import TextEncoder
-    from refine.text.nearest import Nearest
+    from refine.text.nearest import Guess, Nearest
 
 LONGEST = 500  # characters of a phrase
 LEGIBLE = 0.4  # the least share of common spellings at which a phrase of unknown words alone is still guessed
@@ -75,13 +75,16 @@ def _labelled(phrase: str, encoder: "TextEncoder | None") -> Labelled:
         raise UserError(repr(phrase), "has no word that is known", remedy)
     nearest = _nearest(encoder)
     guess = nearest(phrase)
-    told = Reading(guess.whole, guess.torso, _many(guess.arms), _many(guess.legs))
+    told = as_guessed(phrase, guess)
     why = f'as "{guess.nearest}", the most alike by {nearest.by} ({guess.similarity:.2f})'
     return Labelled(phrase, parts_of(told), nearest.by, why, reading.unknown)
 
 
-def _many(number: int) -> Limbs:
-    return (NEITHER, FREE, BOTH)[number]
+def as_guessed(phrase: str, guess: "Guess") -> Reading:
+    """What resembling phrases say of a phrase, on the side that it names where it names one."""
+    sides = frozenset(SIDES).intersection(words_of(phrase))
+    limbs = (NEITHER, sides if len(sides) == 1 else FREE, BOTH)
+    return Reading(guess.whole, guess.torso, limbs[guess.arms], limbs[guess.legs])
 
 
 def _why(reading: Reading) -> str:

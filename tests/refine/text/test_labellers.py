@@ -6,10 +6,12 @@ import pytest
 
 from refine.motion import other_side
 from refine.text.examples import examples, labelled, plain
-from refine.text.labellers import labeller, parts_of
+from refine.text.labellers import as_guessed, labeller, parts_of
 from refine.text.lexical import read
+from refine.text.nearest import Guess
 from refine.text.parts import Parts
 from refine.text.phrases import PHRASES
+from refine.text.vocabulary import vocabulary
 from renderers.checks import UserError
 
 MOVING_ABOUT, BOTH_ARMS = ("global", "left leg", "right leg"), ("left arm", "right arm")
@@ -68,8 +70,9 @@ def test_the_mirror_image_of_any_sentence_is_read_as_its_mirror_image():
         "left right arm leg hand foot both the with to on and while raise kick wave walk turn touch hold knee face put"
     )
     draw = random.Random(0)
-    for _ in range(3000):
-        phrase = " ".join(draw.choices(words.split(), k=draw.randint(2, 9)))
+    for number in range(3000):
+        known = words.split() if number % 2 else [*["left", "right"] * 300, *vocabulary()]
+        phrase = " ".join(draw.choices(known, k=draw.randint(2, 9)))
         reading, other = read(phrase), read(other_side(phrase))
         exchanged = {"left": "right", "right": "left", "free": "free"}
         assert {exchanged[side] for side in reading.arms} == other.arms, phrase
@@ -97,6 +100,12 @@ def test_nothing_and_too_much_are_refused(phrase):
 def test_only_gibberish_is_refused():
     with pytest.raises(UserError, match="no word that is known"):
         labeller()(["xqzt vvbnm"])
+
+
+def test_a_phrase_of_unknown_words_is_guessed_on_the_side_that_it_names():
+    guess = Guess(False, False, 1, 0, "wave", 0.5)
+    assert parts_of(as_guessed("left wibbling", guess)) == Parts.of(["left arm"])
+    assert parts_of(as_guessed("wibbling", guess)) == Parts.of(["right arm"])
 
 
 def test_words_that_are_not_known_are_named_and_the_rest_is_read():

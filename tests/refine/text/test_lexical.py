@@ -98,7 +98,8 @@ def test_the_vocabulary_says_how_much_of_the_body_each_word_is_about():
 @pytest.mark.parametrize(
     ("form", "word"),
     [("walking", "walk"), ("hopping", "hop"), ("waves", "wave"), ("waving", "wave"), ("threw", "throw"),
-     ("toes", "toe"), ("crouched", "crouch"), ("carries", "carry"), ("lying", "lie"), ("boxes", "box"), ("shrugged", "shrug")],
+     ("toes", "toe"), ("crouched", "crouch"), ("carries", "carry"), ("lying", "lie"), ("boxes", "box"),
+     ("shrugged", "shrug")],
 )  # fmt: skip
 def test_inflected_words_are_known(form, word):
     assert word in list(stems(form))
