@@ -90,11 +90,12 @@ class Training:
     def __init__(self, config: TextTraining, kind: str):
         self.config, self.kind, self.device = config, kind, torch.device(config.device)
         self.encoder: TextEncoder = load_encoder(config.encoder).to(config.device)
-        self.rest_joints = Body.free("light").rest_joints.to(config.device)
+        rest_joints = Body.free("light").rest_joints
+        self.rest_joints = rest_joints.to(config.device)
         clips = described_clips(config.data)
         learned = [clip for clip in clips if clip.split == "train"]
         unseen = [clip for clip in clips if clip.split == "val"]
-        self.learned = TextStore.build(learned, config.data, labeller())
+        self.learned = TextStore.build(learned, config.data, labeller(), rest_joints)
         # What is measured are recordings, not what is made of them.
         recorded = replace(config.data, synthetic="none")
         self.unseen = TextStore.build(unseen or learned, recorded)

@@ -15,8 +15,9 @@ from typing import Literal, NamedTuple
 import torch
 from torch import Tensor
 
+from refine.coupling import couple
 from refine.coupling_by_parts import compatible, divide, put_together, random_parts
-from refine.motion import Motion, resample
+from refine.motion import Motion, resample, trimmed
 from refine.text.described import Described
 from refine.text.features import canonical, to_text_features
 from refine.text.parts import Labeller, Parts
@@ -36,9 +37,10 @@ class TextDataConfig:
     """Take single actions, to be learned alone or joined with another one."""
     pairs: bool = True
     """Learn the pairs that were recorded together ("Real-Pairs")."""
-    synthetic: Literal["parts", "random", "none"] = "parts"
+    synthetic: Literal["parts", "energies", "random", "none"] = "parts"
     """What is made of two single actions: each part of the body from the one whose text is about it, where these do
-    not contradict each other; or at random, of any two; or nothing."""
+    not contradict each other; or any two blended by their energies, as LFCA does; or any two cut at random; or
+    nothing."""
     probability: float = 0.5
     """Of a single action to be joined with another one; at 1 none is learned alone."""
     conjunctions: tuple[str, ...] = tuple(TEMPLATES)
@@ -94,9 +96,16 @@ class TextStore:
     config: TextDataConfig
     parts: dict[str, Parts] = field(default_factory=dict)
     """What the single actions' texts are about; needed to compose by parts."""
+    rest_joints: Tensor | None = None
+    """[24 3] T-pose joints, metres; needed to compose by energies."""
 
     @staticmethod
-    def build(items: Sequence[Described], config: TextDataConfig, labeller: Labeller | None = None) -> "TextStore":
+    def build(
+        items: Sequence[Described],
+        config: TextDataConfig,
+        labeller: Labeller | None = None,
+        rest_joints: Tensor | None = None,
+    ) -> "TextStore":
         """Those that are learned, at the frame rate; ``labeller`` says what texts are about, where that is asked.
 
         Raises:
@@ -114,7 +123,7 @@ class TextStore:
         if labeller is not None and config.composes and config.synthetic == "parts":
             texts = sorted({text for item in kept if item.actions == 1 for (text,) in item.phrasings})
             parts = {said.phrase: said.parts for said in (labeller(texts) if texts else ())}
-        return TextStore(kept, config, parts)
+        return TextStore(kept, config, parts, rest_joints)
 
     @cached_property
     def said(self) -> list[Said]:
@@ -157,16 +166,16 @@ class TextStore:
 
     def partner(self, text: str, random: torch.Generator) -> Said | None:
         """Another action to be done at once; none where nothing is compatible."""
-        among = self.said if self.config.synthetic == "random" else self.partners[self.parts[text]]
+        among = self.partners[self.parts[text]] if self.config.synthetic == "parts" else self.said
         return among[below(len(among), random)] if among else None
 
     def join(self, a: Motion, b: Motion, text_a: str, text_b: str, random: torch.Generator) -> Motion:
         """Both at once, from their first frames, as long as the shorter one (protocol D.2)."""
+        if self.config.synthetic == "energies":
+            return couple(*trimmed((a, b)), self.rest_joints).motion
         if self.config.synthetic == "random":
-            division = divide([random_parts(random), random_parts(random)])
-        else:
-            division = divide([self.parts[text_a], self.parts[text_b]])
-        return put_together((a, b), division)
+            return put_together((a, b), divide([random_parts(random), random_parts(random)]))
+        return put_together((a, b), divide([self.parts[text_a], self.parts[text_b]]))
 
     def stretch(self, motion: Motion, random: torch.Generator) -> Motion:
         """At most ``frames`` frames of a clip, anywhere in it, turned and moved to the common place."""

@@ -12,6 +12,7 @@ from torch.nn.functional import mse_loss
 from refine.text.diffusion import DiffusionConfig, LatentDiffusion, LatentDiffusionConfig
 from refine.text.encoder import Words
 from refine.text.labellers import labeller
+from renderers.body import Body
 from renderers.checks import UserError, check_range
 from train.checkpoints import hash_motions, hash_tensors, provenance
 from train.loop import LoopConfig, check_device, check_folder, check_loop, fit, open_run, seed_of
@@ -74,7 +75,7 @@ class Training:
         clips = described_clips(config.data)
         learned = [clip for clip in clips if clip.split == "train"]
         unseen = [clip for clip in clips if clip.split == "val"]
-        self.learned = TextStore.build(learned, config.data, labeller())
+        self.learned = TextStore.build(learned, config.data, labeller(), Body.free("light").rest_joints)
         self.unseen = TextStore.build(unseen or learned, replace(config.data, synthetic="none"))
         with torch.random.fork_rng():
             torch.manual_seed(seed_of(config.loop.seed))

@@ -11,11 +11,11 @@ from train.text_data import TextDataConfig
 from train.text_diffusion import DiffusionTraining
 from train.text_steps import TextLoss
 
-SMALL = TextNetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0)
-SMALL_DATA = TextDataConfig(fps=20.0, frames=60)
+SMALL = TextNetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0, norm_first=True)
+SMALL_DATA = TextDataConfig(fps=15.0, frames=45)
 SMALL_LOOP = LoopConfig(
     steps=3000,
-    learning_rate=1e-3,
+    learning_rate=2e-3,
     warmup=100,
     schedule="cosine",
     clip_gradients=1.0,
@@ -56,7 +56,7 @@ SCORER_PRESETS: dict[str, tuple[str, TextTraining]] = {
         "For trying things out: two minutes on one core.",
         TextTraining(
             out=Path("runs/text-scorer"),
-            data=replace(SCORER_DATA, fps=20.0, frames=60, builtin_clips=6),
+            data=replace(SCORER_DATA, fps=15.0, frames=45, builtin_clips=6),
             network=SMALL,
             loss=TextLoss(contrastive=0.1),
             loop=replace(SMALL_LOOP, steps=400, warmup=20, save_every=200, seed=20),
@@ -68,7 +68,7 @@ SCORER_PRESETS: dict[str, tuple[str, TextTraining]] = {
         "A few dozen actions: ten minutes on one core.",
         TextTraining(
             out=Path("runs/text-scorer"),
-            data=replace(SCORER_DATA, fps=20.0, frames=60),
+            data=replace(SCORER_DATA, fps=15.0, frames=45),
             network=SMALL,
             loss=TextLoss(contrastive=0.1),
             loop=replace(SMALL_LOOP, steps=2000, seed=20),

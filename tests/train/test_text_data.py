@@ -6,7 +6,8 @@ from dataclasses import replace
 import pytest
 import torch
 
-from refine.motion import Motion
+from refine.coupling import couple
+from refine.motion import Motion, trimmed
 from refine.synthetic import draw, perform
 from refine.text.described import Described
 from refine.text.features import from_text_features
@@ -165,3 +166,13 @@ def test_below_is_uniform_and_never_reaches_its_limit():
 def test_a_batch_is_padded_behind(items):
     batch = batch_of([items[0].motion, items[3].motion], [("walk",), ("lean",)], ["walk", "lean"])
     assert batch.features.shape == (2, 60, 135) and batch.valid.sum(1).tolist() == [60, 30]
+
+
+def test_composition_by_energies_is_the_coupling(items):
+    rest_joints = Body.free("light").rest_joints
+    store = TextStore.build(items, config(probability=1.0, synthetic="energies", pairs=False), rest_joints=rest_joints)
+    walk, lean = items[0].motion, items[3].motion
+    made = store.join(walk, lean, "walk", "lean", torch.Generator())
+    expected = couple(*trimmed((walk, lean)), rest_joints, 0.5).motion
+    assert torch.equal(made.rotations, expected.rotations) and torch.equal(made.root, expected.root)
+    assert {("walk", "run"), ("walk", "lean")} <= set(store.draw(300, torch.Generator().manual_seed(0)).texts)

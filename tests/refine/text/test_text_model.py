@@ -55,8 +55,8 @@ def test_standardisation_is_undone():
     normal = model.normal(constant)
     assert normal.mean(0).abs().max() < 1e-6 and (normal.std(0)[[0, 1, 2, 4]] - 1).abs().max() < 1e-6
     with torch.no_grad():
-        for layer in (model.write,):
-            layer.weight.zero_(), layer.bias.zero_()
+        model.write.weight.zero_()
+        model.write.bias.zero_()
     torch.testing.assert_close(model.decode(torch.zeros(1, 16).double(), valid[:1])[0, 0], model.centre)
 
 
@@ -112,7 +112,8 @@ def test_one_action_beside_two():
 
 def test_generating_draws_from_the_text():
     model, said = network(), words([4, 2])
-    made = [generate_features(model, [said], torch.ones(2, 5).bool(), torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)]
+    valid = torch.ones(2, 5, dtype=torch.bool)
+    made = [generate_features(model, [said], valid, torch.Generator().manual_seed(seed)) for seed in (0, 0, 1)]
     assert made[0].shape == (2, 5, WIDTH)
     assert torch.equal(made[0], made[1]) and not torch.equal(made[0], made[2])
     swapped = Words(said.states.flip(0), said.valid.flip(0))
