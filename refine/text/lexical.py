@@ -190,7 +190,7 @@ def _by_hand(doing: Doing) -> Reading:
         legs = [part for part in objects if part.meaning.legs]
         if kind == "hold" or any(part in hands for part in objects):
             others |= _moved(legs)
-        elif kind == "put" and not hands and objects:
+        elif (kind == "put" and not hands and objects) or (kind == "hand" and legs):
             return _moved(objects) | others
     bends = bool(meaning.torso) or doing.low or any(part.is_a("foot") for part in targets)
     if hands:
