@@ -46,6 +46,8 @@ LEGS, ARMS, ALL = ("left leg", "right leg"), ("left arm", "right arm"), ("global
         ("walk and wave the left hand", ["global", "left arm", *LEGS]),
         ("drink while standing", ["right arm"]),
         ("raise the left arm and lower it", ["left arm"]),
+        ("raise the left arm and wave", ["left arm"]),
+        ("wiggle the toes", LEGS),
         # things
         ("lift a cup", ["right arm"]),
         ("lift a barbell", ARMS),
@@ -55,6 +57,7 @@ LEGS, ARMS, ALL = ("left leg", "right leg"), ("left arm", "right arm"), ("global
         # what is not done, and how it is done
         ("walk without moving the arms", ["global", *LEGS]),
         ("wave the arms while the legs stay still", ARMS),
+        ("dance without moving the arms", [*ALL, *LEGS]),
         ("walk in a circle", ["global", *LEGS]),
         ("move the arms in a swimming motion", ARMS),
         ("flap the arms like a bird", ARMS),
