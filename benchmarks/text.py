@@ -59,7 +59,6 @@ ROWS = {
     "energies": Row(("--data.no-pairs", *ENERGIES)),
     "pairs and random": Row(RANDOM),
     "pairs and parts": Row(PARTS),
-    "pairs and energies": Row(ENERGIES),
     "pairs and parts, refined": Row(PARTS, REFINED),
     "pairs and parts, once": Row(PARTS, ("--repeats", "1")),
     "diffusion, pairs and singles": Row(NONE, diffusion=True),

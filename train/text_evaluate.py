@@ -18,6 +18,7 @@ from tqdm import tqdm
 
 from refine.decoupling import Decoupler
 from refine.distributions import diversity_exact
+from refine.formats.untrusted import read_json
 from refine.mae import load_mae
 from refine.metrics import floor_penetration, foot_skate, jitter
 from refine.motion import Motion, resample
@@ -33,7 +34,7 @@ from refine.text.sentences import TEMPLATES, UNSEEN, combine
 from renderers.body import Body
 from renderers.checks import UserError, check_known, check_range
 from train.checkpoints import command, commit, hash_motions
-from train.evaluate import LIBRARIES, read_config, sha256
+from train.evaluate import LIBRARIES, sha256
 from train.loop import seed_of
 from train.tables import Evaluation
 from train.text import described_clips
@@ -189,15 +190,15 @@ def evaluate_text(
     from refine.text.labellers import labeller
 
     started = time.monotonic()
-    model, trained = load_text_model(run / "last.safetensors").to(config.device), read_config(run)
+    trained, learned_from = read_run(run)
+    model = load_text_model(run / "last.safetensors").to(config.device)
     judging = load_text_to_motion(scorer / "last.safetensors", "text-scorer")
     if judging.config.fps != model.config.fps:
         problem = f"scores {judging.config.fps:g} frames a second, {run} makes {model.config.fps:g}"
         raise UserError(scorer, problem, "train both at the same --data.fps")
     said, scored = encoder_of(model, encoder), encoder_of(judging, encoder)
-    rest_joints, frames = Body.free("light").rest_joints, trained["data"]["frames"]
-    source = TextDataConfig(**trained["data"] | {"conjunctions": tuple(trained["data"]["conjunctions"])})
-    source = replace(source, source=str(texts)) if texts else source
+    rest_joints, frames = Body.free("light").rest_joints, learned_from.frames
+    source = replace(learned_from, source=str(texts)) if texts else learned_from
     tested = tested_clips(described_clips(source), config.actions)
     judge = TextJudge(tested, judging, scored, frames, config, rest_joints)
     name, rows, embedded = row or run.name, [], []
@@ -237,6 +238,28 @@ def evaluate_text(
             "trained": {"steps": trained["loop"]["steps"], "config": trained},
         },
     )
+
+
+def read_run(run: Path) -> tuple[dict, TextDataConfig]:
+    """The configuration that a run was started with, and of its data.
+
+    Raises:
+        UserError: there is none, it is of another kind, or the run is not finished.
+    """
+    path, last = run / "config.json", run / "last.json"
+    if not path.exists() or not last.exists():
+        raise UserError(run, "holds no run", "give a folder that `refine train text` or `text-diffusion` wrote")
+    try:
+        trained = read_json(path, finite=False)
+        steps, done = trained["loop"]["steps"], read_json(last, finite=False)["step"]
+        data = trained["data"]
+        learned_from = TextDataConfig(**data | {"conjunctions": tuple(data["conjunctions"])})
+        trained["loop"]["seed"]
+    except (KeyError, TypeError) as error:
+        raise UserError(path, f"is no configuration of text to motion ({error})", "train it again") from error
+    if done != steps:
+        raise UserError(run, f"is at step {done} of {steps}", "finish it with --resume")
+    return trained, learned_from
 
 
 def tested_clips(items: Sequence[Described], actions: str) -> list[Described]:

@@ -14,7 +14,7 @@ from train.text_steps import TextLoss
 SMALL = TextNetworkConfig(latent=128, feedforward=256, layers=2, dropout=0.0, norm_first=True)
 SMALL_DATA = TextDataConfig(fps=15.0, frames=45)
 SMALL_LOOP = LoopConfig(
-    steps=3000,
+    steps=1500,
     learning_rate=2e-3,
     warmup=100,
     schedule="cosine",
@@ -22,13 +22,13 @@ SMALL_LOOP = LoopConfig(
     log_every=10,
     save_every=500,
 )
-SMALL_LOSS = TextLoss(joints=1.0, kl=1e-4)
+SMALL_LOSS = TextLoss(kl=1e-4)
 # 500 epochs of BABEL's 25,000 single actions and 2,500 pairs, 64 at a time.
 PAPER_LOOP = LoopConfig(steps=215_000, learning_rate=3e-4, log_every=50, save_every=5000)
 
 TEXT_PRESETS: dict[str, tuple[str, TextTraining]] = {
     "tiny": (
-        "A small network for trying things out: two minutes on one core.",
+        "A small network for trying things out: a minute on one core.",
         TextTraining(
             data=replace(SMALL_DATA, builtin_clips=6),
             network=SMALL,
@@ -40,8 +40,8 @@ TEXT_PRESETS: dict[str, tuple[str, TextTraining]] = {
         ),
     ),
     "small": (
-        "A few dozen actions: a quarter of an hour on one core.",
-        TextTraining(data=SMALL_DATA, network=SMALL, loss=SMALL_LOSS, loop=SMALL_LOOP, precision="bfloat16"),
+        "A few dozen actions: four minutes on one core.",
+        TextTraining(data=SMALL_DATA, network=SMALL, loss=SMALL_LOSS, loop=SMALL_LOOP, batch=16, precision="bfloat16"),
     ),
     "paper": (
         "SINC's network, batch and rates, for a graphics card; give --encoder the folder of DistilBERT.",
@@ -53,7 +53,7 @@ SCORER_DATA = TextDataConfig(synthetic="none", pairs=False)
 
 SCORER_PRESETS: dict[str, tuple[str, TextTraining]] = {
     "tiny": (
-        "For trying things out: two minutes on one core.",
+        "For trying things out: a minute on one core.",
         TextTraining(
             out=Path("runs/text-scorer"),
             data=replace(SCORER_DATA, fps=15.0, frames=45, builtin_clips=6),
@@ -65,13 +65,13 @@ SCORER_PRESETS: dict[str, tuple[str, TextTraining]] = {
         ),
     ),
     "small": (
-        "A few dozen actions: ten minutes on one core.",
+        "A few dozen actions: five minutes on one core.",
         TextTraining(
             out=Path("runs/text-scorer"),
             data=replace(SCORER_DATA, fps=15.0, frames=45),
             network=SMALL,
             loss=TextLoss(contrastive=0.1),
-            loop=replace(SMALL_LOOP, steps=2000, seed=20),
+            loop=replace(SMALL_LOOP, seed=20),
             precision="bfloat16",
         ),
     ),
@@ -99,11 +99,12 @@ DIFFUSION_PRESETS: dict[str, tuple[str, DiffusionTraining]] = {
         ),
     ),
     "small": (
-        "A few dozen actions: ten minutes on one core.",
+        "A few dozen actions: five minutes on one core.",
         DiffusionTraining(
             data=SMALL_DATA,
             network=DiffusionConfig(feedforward=256, layers=5, dropout=0.0),
-            loop=replace(SMALL_LOOP, steps=5000),
+            loop=replace(SMALL_LOOP, steps=3000),
+            batch=16,
         ),
     ),
     "paper": (
