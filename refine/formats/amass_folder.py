@@ -29,6 +29,7 @@ TRUE_RATES = {"BMLhandball": 240.0, "20160930_50032": 59.0, "20161014_50033": 59
 """Frame rates of files that state wrong ones, by a part of their path."""
 LONGEST = 1 << 20
 """Frames that a motion may have; nine hours at 30 a second."""
+MAX_PARTS, MAX_LETTERS = 20, 200  # of a path, and of each part of it
 NAMED = 5
 """How many missing files are named."""
 
@@ -98,7 +99,7 @@ def find_amass(folder: Path, name: str) -> Path | None:
         UserError: the name leads out of the folder.
     """
     parts = PurePosixPath(name.removesuffix(SUFFIX)).parts
-    if not parts or ".." in parts or parts[0] == "/" or any("\\" in part or "\0" in part for part in parts):
+    if not 0 < len(parts) <= MAX_PARTS or not all(_is_name(part) for part in parts):
         raise UserError(name[:100] or "''", "is no name of a motion file", "mend the annotation")
     for head, tail in _ways(parts):
         for stem in dict.fromkeys((tail[-1], tail[-1].removesuffix(POSES) + STAGE_TWO)):
@@ -106,6 +107,10 @@ def find_amass(folder: Path, name: str) -> Path | None:
             if path.is_file():
                 return path
     return None
+
+
+def _is_name(part: str) -> bool:
+    return part != ".." and len(part) <= MAX_LETTERS and part.isprintable() and not set(part) & set("/\\")
 
 
 def without_between(motion: Motion, fps: float) -> Motion:

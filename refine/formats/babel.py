@@ -117,7 +117,8 @@ def load_babel(
     labelled = 0
     for path in _files(annotations, split, config.extra):
         for number, entry in _entries(path):
-            where = f"{path}, motion {printable(number)[:40]}"
+            number = printable(number)
+            where = f"{path}, motion {number[:40]}"
             try:
                 said = list(_annotations(where, number, entry, spellings, left_out, reasons))
                 labelled += bool(said)

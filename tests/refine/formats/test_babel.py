@@ -251,7 +251,7 @@ def test_names_of_any_release(tmp_path, name, there):
     assert find_amass(tmp_path, name) == tmp_path / there
 
 
-@pytest.mark.parametrize("name", ["", "/etc/passwd", "a/../../b", "a\\..\\b", "a\0b"])
+@pytest.mark.parametrize("name", ["", "/etc/passwd", "a/../../b", "a\\..\\b", "a\0b", "a/" * 30, "a" * 300, "a\nb"])
 def test_names_that_lead_elsewhere_are_refused(tmp_path, name):
     with pytest.raises(UserError, match="no name of a motion file"):
         find_amass(tmp_path, name)
