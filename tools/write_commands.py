@@ -211,6 +211,22 @@ def compositions(folder: Path) -> Image.Image:
     return Image.open(folder / "drawn.png")
 
 
+def described(folder: Path) -> Image.Image:
+    """A few clips of a set, each with two of its descriptions."""
+    from refine.drawing import strip
+    from refine.text.corpus import load_corpus
+    from refine.text.sentences import combine
+    from renderers.body import Body
+    from renderers.images import contact_sheet, save_png
+
+    items = {item.key: item for item in load_corpus(folder / "texts")}
+    chosen = [items[key] for key in ("drink-000", "walk-000", "walk+drink-train-000")]
+    rows = [[row] for row in strip([item.motion for item in chosen], Body.free("full"), poses=8, height=200)]
+    captions = ["; ".join(f'"{combine(said)}"' for said in item.phrasings[:2]) for item in chosen]
+    save_png(folder / "drawn.png", contact_sheet(rows, captions))
+    return Image.open(folder / "drawn.png")
+
+
 def terminal(page: str, first: int = 0, lines: int = 40) -> Callable[[Path], Image.Image]:
     """What the first blocks of a page show, as on a terminal."""
 
@@ -243,6 +259,7 @@ DRAWN: dict[str, Callable[[Path], Image.Image]] = {
     "data-inspect": lambda _: Image.open(DOCS / "data.png"),
     "data-import": rendered("clips/squat_001.bvh", "--poses", "8", "--size", "230"),
     "data-benchmark": compositions,
+    "data-texts": described,
     "text-parts": terminal("text-parts"),
     "train-mae": stored("runs/mae/curves.png"),
     "train-generator": stored("runs/generator/curves.png"),

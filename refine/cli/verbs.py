@@ -10,6 +10,7 @@ from refine.cli.check_renderer import CheckRenderer
 from refine.cli.completion import Shell, script
 from refine.cli.compose import Compose
 from refine.cli.data import BuildBenchmark, ImportData
+from refine.cli.data_texts import DataTexts
 from refine.cli.demo import Demo
 from refine.cli.doctor import Doctor
 from refine.cli.evaluate import Evaluate
@@ -37,6 +38,7 @@ VERBS: dict[str, Any] = {
         "inspect": InspectData,
         "import": ImportData,
         "benchmark": BuildBenchmark,
+        "texts": DataTexts,
     },
     "text": {
         "": "Read what describes motions.\n\nExample: refine text parts \"walk forwards\"",

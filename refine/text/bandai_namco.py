@@ -4,21 +4,19 @@ Names are ``dataset-1_walk-left_happy_001``: data set, content, style, number. W
 its name does not say so was seen in the clips themselves.
 """
 
-import hashlib
 import math
 import re
-from collections import defaultdict
 from collections.abc import Iterable
 from pathlib import PurePosixPath
 from typing import NamedTuple
 
 from refine.motion import Motion
 from refine.text.described import Described, Split
+from refine.text.splits import stratified
 from renderers.checks import UserError, check_known
 from renderers.rotations import heading
 
 NAME = re.compile(r"dataset-(?P<dataset>[12])_(?P<content>[^_]+)_(?P<style>[^_]+)_(?P<number>\d+)")
-EVERY = 6  # of so many clips of a content one is for "val" and one for "test"
 WRONG_WAY = math.radians(45)  # a turn by more than this against the name is described as it is
 
 
@@ -188,16 +186,7 @@ def splits_of(names: Iterable[str], seed: int = 0) -> dict[str, Split]:
     Raises:
         UserError: see `content_and_style`.
     """
-    by_content = defaultdict(list)
-    for name in names:
-        content, style = content_and_style(name)
-        by_content[content].append((_shuffled(f"{seed} {content} {style}"), _shuffled(f"{seed} {name}"), name))
-    uses: dict[int, Split] = {EVERY - 2: "val", EVERY - 1: "test"}
-    return {
-        name: uses.get(index % EVERY, "train")
-        for clips in by_content.values()
-        for index, (*_, name) in enumerate(sorted(clips))
-    }
+    return stratified({name: content_and_style(name) for name in names}, seed)
 
 
 def _shown(content: str, motion: Motion) -> str:
@@ -209,8 +198,3 @@ def _shown(content: str, motion: Motion) -> str:
     if abs(turned) < WRONG_WAY:
         return content
     return "walk-turn-left" if turned > 0 else "walk-turn-right"
-
-
-def _shuffled(text: str) -> bytes:
-    """A place in an order that says nothing."""
-    return hashlib.sha256(text.encode()).digest()

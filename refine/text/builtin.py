@@ -1,6 +1,8 @@
 """The built-in actions as described clips: single ones in many words, and pairs that are truly done at once."""
 
+from collections.abc import Callable, Iterable, Sequence
 from itertools import combinations
+from typing import Any
 
 import torch
 from torch import Tensor
@@ -157,7 +159,12 @@ def builtin_pairs(seed: int = 0) -> dict[Split, list[tuple[str, str]]]:
 
 
 def builtin_corpus(
-    rest_joints: Tensor, seed: int = 0, clips: int = 20, fps: float = 30.0, seconds: float = SECONDS
+    rest_joints: Tensor,
+    seed: int = 0,
+    clips: int = 20,
+    fps: float = 30.0,
+    seconds: float = SECONDS,
+    progress: Callable[[Sequence[Any]], Iterable[Any]] = iter,
 ) -> list[Described]:
     """Single actions and true pairs, no two clips alike.
 
@@ -167,10 +174,11 @@ def builtin_corpus(
     Args:
         rest_joints: [24 3] T-pose joints, metres.
         clips: of each single action.
+        progress: wraps the list of actions, and those of pairs, as ``tqdm`` does.
     """
     frames = round(seconds * fps)
     items = []
-    for index, name in enumerate(ACTIONS):
+    for index, name in progress(list(enumerate(ACTIONS))):
         random = torch.Generator().manual_seed(seed * 1009 + index)
         for number in range(clips):
             drawn = draw(name, random, fps)
@@ -179,7 +187,7 @@ def builtin_corpus(
             items.append(Described(perform(drawn, frames, rest_joints), said, f"{name}-{number:03d}", split))
     for split, pairs in builtin_pairs(seed).items():
         counts = {"train": max(1, clips // 4), "val": 1} if split == "train" else {"test": TESTED_CLIPS}
-        for index, (i, j) in enumerate(pairs):
+        for index, (i, j) in progress(list(enumerate(pairs))):
             random = torch.Generator().manual_seed(seed * 1009 + 100 + index + 500 * (split == "test"))
             for use, count in counts.items():
                 for number in range(count):

@@ -67,13 +67,13 @@ def counted(items: Iterable[Described]) -> Counts:
 
 
 def save_corpus(
-    folder: str | Path, items: Iterable[Described], about: Mapping[str, Any], left_out: Sequence[UserError] = ()
+    folder: str | Path, items: Iterable[Described], about: Mapping[str, Any], left_out: Sequence[str] = ()
 ) -> Counts:
     """Write described clips as they come; the folder is there whole or not at all, and an older one gives way.
 
     Args:
         about: where the set is from, in values that JSON has.
-        left_out: what could not be taken, for the manifest; it is looked at when the items have ended.
+        left_out: lines on what could not be taken, to be kept; they are looked at when the items have ended.
 
     Raises:
         UserError: there is no item, two have one key, or the folder cannot be written.
@@ -90,12 +90,13 @@ def save_corpus(
         if not said:
             first = f"the first that was left out: {left_out[0]}" if left_out else "look at what it is made of"
             raise UserError(folder, "would hold no clips", first)
-        manifest = shards.close([(error.where, error.problem) for error in left_out])
+        manifest = shards.close()
         head = {
             "schema": SCHEMA,
             "kind": KIND,
             "about": dict(about),
             "counts": counts.values(),
+            "left_out": list(left_out),
             "hash": manifest["hash"],
         }
         (partial / TEXTS).write_text(_written(head, said), encoding="utf-8")

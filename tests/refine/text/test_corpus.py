@@ -33,7 +33,14 @@ def same(one: Motion, other: Motion) -> bool:
 
 def test_what_is_written_is_read(tmp_path, rest_joints):
     items = described(rest_joints)
-    counts = save_corpus(tmp_path / "set", iter(items), {"source": "hand", "seed": 3})
+    left_out = []
+
+    def read():
+        yield from items
+        left_out.append("b.npz: is broken")
+
+    counts = save_corpus(tmp_path / "set", read(), {"source": "hand", "seed": 3}, left_out)
+    assert json.loads((tmp_path / "set" / "texts.json").read_text())["left_out"] == ["b.npz: is broken"]
     read = load_corpus(tmp_path / "set")
     assert all(same(a.motion, b.motion) for a, b in zip(items, read, strict=True))
     assert [(a.phrasings, a.key, a.split) for a in read] == [(a.phrasings, a.key, a.split) for a in items]
@@ -80,7 +87,7 @@ def test_nothing_is_left_of_a_set_that_fails(tmp_path, rest_joints):
     with pytest.raises(UserError, match="two clips called 'walk/0'"):
         save_corpus(tmp_path / "set", [first, replace(second, key=first.key)], {})
     with pytest.raises(UserError, match="no clips; the first that was left out: a.npz: is missing"):
-        save_corpus(tmp_path / "set", [], {}, [UserError("a.npz", "is missing")])
+        save_corpus(tmp_path / "set", [], {}, ["a.npz: is missing"])
     assert {path.name: path.read_bytes() for path in (tmp_path / "set").iterdir()} == before
     assert [path.name for path in tmp_path.iterdir()] == ["set"]
 
