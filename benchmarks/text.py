@@ -47,7 +47,8 @@ class Row:
 SINGLES = ("--data.no-pairs", "--data.synthetic", "none")
 PAIRS = ("--data.no-singles", "--data.synthetic", "none")
 NONE, PARTS, RANDOM, ENERGIES = (("--data.synthetic", how) for how in ("none", "parts", "random", "energies"))
-REFINED = ("--refined", "--repeats", "1")
+FEW = ("--repeats", "1", "--most", "28")  # refining takes seconds a clip
+REFINED = (*FEW, "--refined")
 ROWS = {
     "single actions": Row(SINGLES),
     "single actions, put together": Row(SINGLES, ("--by", "parts")),
@@ -59,11 +60,16 @@ ROWS = {
     "energies": Row(("--data.no-pairs", *ENERGIES)),
     "pairs and random": Row(RANDOM),
     "pairs and parts": Row(PARTS),
-    "pairs and parts, refined": Row(PARTS, REFINED),
-    "pairs and parts, once": Row(PARTS, ("--repeats", "1")),
     "diffusion, pairs and singles": Row(NONE, diffusion=True),
     "diffusion, pairs and parts": Row(PARTS, diffusion=True),
 }
+REFINING = {
+    "pairs and parts": Row(PARTS, FEW),
+    "pairs and parts, refined": Row(PARTS, REFINED),
+    "single actions, put together": Row(SINGLES, ("--by", "parts", *FEW)),
+    "single actions, put together, refined": Row(SINGLES, ("--by", "parts", *REFINED)),
+}
+"""A table of its own, of fewer clips."""
 CLAIMS = (
     ("parts", "single actions"),
     ("parts", "random"),
@@ -72,7 +78,8 @@ CLAIMS = (
     ("pairs and parts", "single actions"),
     ("parts", "single actions, put together"),
     ("parts", "energies"),
-    ("pairs and parts, refined", "pairs and parts, once"),
+    ("pairs and parts, refined", "pairs and parts"),
+    ("single actions, put together, refined", "single actions, put together"),
     ("diffusion, pairs and parts", "diffusion, pairs and singles"),
 )
 SHOWN = ("single actions", "random", "parts", "pairs and parts")
@@ -108,7 +115,7 @@ def trained(run: Path, *arguments: object) -> Path:
 
 def one(name: str, seed: int, args: argparse.Namespace) -> Path:
     """Train one row with one seed and measure it; the evaluation's place among the results."""
-    row, found = ROWS[name], place(args) / f"{slug(name)}-{seed}.json"
+    row, found = rows_of(args)[name], place(args) / f"{slug(name)}-{seed}.json"
     if found.exists():
         return found
     source = ("--data.source", args.source, "--seed", seed)
@@ -129,18 +136,23 @@ def one(name: str, seed: int, args: argparse.Namespace) -> Path:
     return found
 
 
+def rows_of(args: argparse.Namespace) -> dict[str, Row]:
+    return REFINING if args.refining else ROWS
+
+
 def slug(name: str) -> str:
     return "".join(letter if letter.isalnum() else "-" for letter in name.lower()).strip("-")
 
 
 def place(args: argparse.Namespace) -> Path:
-    return args.out / f"text-{Path(args.source).name}-{args.preset}"
+    refining = "-refined" if args.refining else ""
+    return args.out / f"text-{Path(args.source).name}-{args.preset}{refining}"
 
 
 def tabulate(args: argparse.Namespace) -> str:
     """All evaluations that there are, in the order of the rows, and the claims with their intervals."""
     found = [load_evaluation(path) for path in sorted(place(args).glob("*-[0-9]*.json"))]
-    order = list(ROWS)
+    order = list(rows_of(args))
     evaluations: list[Evaluation] = sorted(found, key=lambda each: (order.index(each.row), each.seed))
     rows = {each.row for each in evaluations}
     parts = [comparison_table(evaluations)]
@@ -172,7 +184,8 @@ def draw(args: argparse.Namespace):
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--source", default="builtin", help="builtin, or a folder of `refine data texts`")
-    parser.add_argument("--rows", nargs="+", choices=list(ROWS), default=list(ROWS))
+    parser.add_argument("--rows", nargs="+", choices=[*ROWS, *REFINING], help="all, unless given")
+    parser.add_argument("--refining", action="store_true", help="the table of what refinement does, of fewer clips")
     parser.add_argument("--seeds", nargs="+", type=int, default=[0, 1, 2])
     parser.add_argument("--preset", default="small")
     parser.add_argument("--actions", default="pairs", help="which test clips are measured")
@@ -185,13 +198,14 @@ def main() -> None:
     if not args.table:
         place(args).mkdir(parents=True, exist_ok=True)
         trained(args.runs / "scorer", "text-scorer", args.preset, "--data.source", args.source)
-        tasks = [(row, seed) for seed in args.seeds for row in args.rows]
+        tasks = [(row, seed) for seed in args.seeds for row in args.rows or rows_of(args)]
         with ThreadPoolExecutor(args.workers) as pool:
             for waiting in [pool.submit(one, *task, args) for task in tasks]:
                 waiting.result()
     table = tabulate(args)
     replace_file(place(args).with_suffix(".md"), table.encode())
-    draw(args)
+    if not args.refining:
+        draw(args)
     print(table)
 
 

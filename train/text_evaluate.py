@@ -16,6 +16,8 @@ import torch
 from torch import Tensor
 from tqdm import tqdm
 
+from refine.composition_by_parts import compose_by_parts
+from refine.coupling_by_parts import divide, put_together
 from refine.decoupling import Decoupler
 from refine.distributions import diversity_exact
 from refine.formats.untrusted import read_json
@@ -26,7 +28,7 @@ from refine.refinement import refine_motion
 from refine.text.described import Described
 from refine.text.encoder import TextEncoder
 from refine.text.features import canonical
-from refine.text.generation import generate_by_parts, generate_described
+from refine.text.generation import generate_alone, generate_by_parts, generate_described
 from refine.text.parts import Labeller
 from refine.text.positions import Heading, positional_errors
 from refine.text.scores import retrieval, temos_score, variety
@@ -58,6 +60,8 @@ class TextEvaluationConfig:
     """What a body's heading is; "sinc_legacy" takes it from SINC's code, mirrored."""
     refined: bool = False
     """Refine each motion through the decoupling loss, beside motions of its actions alone, before it is measured."""
+    most: int | None = None
+    """Measure no more test clips than these, spread evenly over them."""
     batch: int = 128
     """Motions that are made at once; only memory and time depend on it."""
     seed: int = 0
@@ -67,7 +71,13 @@ class TextEvaluationConfig:
     def __post_init__(self):
         check_range(self, 1, 10_000, "repeats", "batch")
         check_range(self, 0, 2**32 - 1, "seed")
+        if self.most is not None:
+            check_range(self, 1, 1_000_000, "most")
         check_known("--conjunction", self.conjunction, TEMPLATES | UNSEEN)
+
+
+MEASURED = ("actions", "by", "conjunction", "heading", "refined", "most")
+"""What a table should say of how a row was measured."""
 
 
 class TextJudge:
@@ -199,15 +209,17 @@ def evaluate_text(
     said, scored = encoder_of(model, encoder), encoder_of(judging, encoder)
     rest_joints, frames = Body.free("light").rest_joints, learned_from.frames
     source = replace(learned_from, source=str(texts)) if texts else learned_from
-    tested = tested_clips(described_clips(source), config.actions)
+    tested = spread(tested_clips(described_clips(source), config.actions), config.most)
     judge = TextJudge(tested, judging, scored, frames, config, rest_joints)
     name, rows, embedded = row or run.name, [], []
     refiner = Refiner(model, said, judge) if config.refined else None
     for number in tqdm(range(config.repeats), desc=name, disable=None, leave=False):
         random = torch.Generator().manual_seed(seed_of(config.seed, number))
-        motions = made_by(model, said, judge, config, labeller(), random)
-        if refiner:
-            motions = refiner(motions, random)
+        if refiner and config.by == "parts":
+            motions = refiner.by_parts(labeller(), random)
+        else:
+            motions = made_by(model, said, judge, config, labeller(), random)
+            motions = refiner.sentences(motions, random) if refiner else motions
         embedded.append(judge.encode(motions))
         rows.append(judge.measure(motions, embedded[-1], random))
     metrics = {measure: [each[measure] for each in rows] for measure in rows[0]}
@@ -278,20 +290,44 @@ def tested_clips(items: Sequence[Described], actions: str) -> list[Described]:
     raise UserError("refine evaluate", f"there are no test clips of {actions}", remedy)
 
 
+def spread(items: list[Described], most: int | None) -> list[Described]:
+    """At most so many, evenly among them all."""
+    count = min(len(items), most or len(items))
+    return [items[number * len(items) // count] for number in range(count)]
+
+
 class Refiner:
-    """Refines made motions through the decoupling loss, each beside motions of its actions alone."""
+    """Refines made motions through the decoupling loss, which asks whether each action can be recognised in them."""
 
     def __init__(self, model: TextModel, encoder: TextEncoder, judge: TextJudge):
         self.model, self.encoder, self.judge = model, encoder, judge
         self.decoupler = Decoupler(Body.free("light"), load_mae(None))
 
-    def __call__(self, motions: Sequence[Motion], random: torch.Generator) -> list[Motion]:
+    def sentences(self, motions: Sequence[Motion], random: torch.Generator) -> list[Motion]:
+        """Motions of sentences, beside motions of their actions alone."""
+        texts = self.judge.texts
+        alone = generate_alone(self.model, self.encoder, texts, [len(motion) for motion in motions], random)
         refined = []
-        for motion, texts in zip(
-            tqdm(motions, desc="refine", disable=None, leave=False), self.judge.texts, strict=True
-        ):
-            if len(texts) != 2:
-                raise UserError("--refined", f"refines pairs, got {len(texts)} actions", "leave it out")
-            alone = generate_described(self.model, self.encoder, [(text,) for text in texts], [len(motion)] * 2, random)
-            refined.append(refine_motion(motion, *alone, self.decoupler).motion)
+        for motion, beside in zip(tqdm(motions, desc="refine", disable=None, leave=False), alone, strict=True):
+            if len(beside) != 2:
+                raise UserError("--refined", f"refines pairs, got {len(beside)} actions", "leave it out")
+            refined.append(refine_motion(motion, *beside, self.decoupler).motion)
+        return refined
+
+    def by_parts(self, labeller: Labeller, random: torch.Generator) -> list[Motion]:
+        """Actions made alone, and composed by parts."""
+        texts, frames = self.judge.texts, [len(motion) for motion in self.judge.motions]
+        alone = generate_alone(self.model, self.encoder, texts, frames, random)
+        about = iter(labeller([text for each in texts for text in each]))
+        refined = []
+        for motions in tqdm(alone, desc="refine", disable=None, leave=False):
+            parts = [next(about).parts for _ in motions]
+            division = divide(parts)
+            whole = all(action in division.owners for action in range(len(motions)))
+            rest_joints, decoupler = self.judge.rest_joints, self.decoupler
+            refined.append(
+                compose_by_parts(motions, parts, rest_joints, decoupler).motion
+                if whole and len(motions) > 1
+                else put_together(motions, division)
+            )
         return refined

@@ -51,6 +51,8 @@ class Evaluate:
     """With --scorer: what a body's heading is, or what SINC's released code takes for it."""
     refined: bool = False
     """With --scorer: refine each motion through the decoupling loss before it is measured; seconds each."""
+    most: int | None = None
+    """With --scorer: measure no more test clips than these, spread evenly over them."""
     encoder: Path | None = None
     """With --scorer: local Hugging Face folder of the text encoder that was trained with, unless it is MiniLM."""
     repeats: int | None = None
@@ -114,6 +116,7 @@ class Evaluate:
             by=self.by,
             heading=self.heading,
             refined=self.refined,
+            most=self.most,
             seed=self.seed,
             device=self.device,
         )
