@@ -7,6 +7,7 @@ from pathlib import Path
 
 # The tensors here are small: several threads would mostly wait for each other, and for whatever else runs.
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+os.environ["HF_HUB_OFFLINE"] = "1"  # no test asks a network
 
 import pytest
 import torch
