@@ -15,6 +15,7 @@ from refine.formats.clips import load_clips, save_clips
 from refine.motion import mirror
 from refine.synthetic import draw, perform
 from refine.text.corpus import about_corpus, load_corpus
+from renderers.rotations import rotation_about
 
 
 @pytest.fixture(scope="module")
@@ -72,6 +73,17 @@ def test_bandai_namcos_clips_from_files_and_from_what_was_imported(tmp_path, cap
     again = load_corpus(tmp_path / "again")
     assert [(i.key, i.phrasings, i.split) for i in again] == [(i.key, i.phrasings, i.split) for i in items]
     torch.testing.assert_close(again[0].motion.rotations, items[0].motion.rotations)
+
+
+def test_a_clip_that_does_not_show_what_its_name_says(tmp_path, capsys, performed):
+    turning = performed(frames=20)
+    rotations = turning.rotations.clone()
+    rotations[:, 0] = rotation_about("y", torch.linspace(0, 1.5, 20)) @ rotations[:, 0]
+    name = "dataset-2_walk-turn-right_masculine_007"
+    save_clips(tmp_path / "clips.npz", [replace(turning, rotations=rotations, source=f"{name}.bvh")])
+    _, err = made(capsys, "bandai-namco", tmp_path / "clips.npz", "--out", tmp_path / "set")
+    assert err == [f"refine: {name} turns to the other side, and is described so"]
+    assert load_corpus(tmp_path / "set")[0].phrasings[-1] == ("a masculine walk, turning left",)
 
 
 def test_labels_become_words(tmp_path, capsys, performed):
@@ -140,6 +152,30 @@ def test_babel(tmp_path, capsys, amass, performed):
     _, err = made(capsys, "babel", labels, "--motions", amass, "--out", tmp_path / "val")
     assert any("train.json is not there: each of the pairs of val counts as unseen" in line for line in err)
     assert sum(item.split == "test" for item in load_corpus(tmp_path / "val")) == 2
+
+
+def test_what_is_taken_of_babel(tmp_path, capsys, amass):
+    labels = [("walk", 0, 4), ("wave", 0, 2), ("talk", 0, 2), ("nod", 0, 2), ("look up", 0, 2), ("turn", 2, 4)]
+    (tmp_path / "train.json").write_text(json.dumps({"7": babel(1, *labels), "8": babel(2, ("sit", 0, 4))}))
+    extra = {"9": {"feat_p": "CMU/CMU/01/01_03_poses.npz", "seq_anns": [{"labels": [{"proc_label": "hop"}]}]}}
+    (tmp_path / "extra_train.json").write_text(json.dumps(extra))
+
+    def taken(*flags):
+        made(capsys, "babel", tmp_path, "--motions", amass, "-o", tmp_path / "set", "--force", *flags)
+        return {item.key: item for item in load_corpus(tmp_path / "set")}
+
+    usual = taken()
+    assert {item.actions for item in usual.values()} == {1, 2} and len(usual) == 8
+    assert {item.actions for item in taken("--max-actions", 5).values()} == {1, 2, 5}
+    assert {key for key, item in taken("--alone").items() if item.actions == 1} == {"seg-8-0"}
+    assert {item.phrasings for item in taken("--extra").values()} - {item.phrasings for item in usual.values()} == {
+        (("hop",),)
+    }
+    lower = taken("--nearest-lower")["seg-8-0"].motion.root
+    between = usual["seg-8-0"].motion.root
+    assert len(lower) == 120 and torch.equal(lower[0], between[0])
+    assert not torch.allclose(lower[-1], between[-1], atol=1e-3)  # its last frame is the file's last one
+    assert len(taken("--fps", 20)["seg-8-0"].motion) == 80
 
 
 def test_kit_ml(tmp_path, capsys, amass, performed):

@@ -85,6 +85,8 @@ def test_single_actions_and_true_pairs(corpus):
     clips = [item.motion.rotations for item in corpus]
     assert all(len(rotations) == 15 for rotations in clips)
     assert len({rotations.numpy().tobytes() for rotations in clips}) == len(clips)  # no two clips alike
+    heads = {tuple(item.motion.rotations[0, 12].flatten().tolist()) for item in corpus if item.actions == 1}
+    assert len(heads) > 0.9 * 5 * len(ACTIONS)  # nor held alike: each action draws styles of its own
 
 
 def test_pairs_are_said_in_either_order(corpus):
