@@ -41,7 +41,7 @@ VERBS: dict[str, Any] = {
         "texts": DataTexts,
     },
     "text": {
-        "": "Read what describes motions.\n\nExample: refine text parts \"walk forwards\"",
+        "": 'Read what describes motions.\n\nExample: refine text parts "walk forwards"',
         "parts": TextParts,
     },
     "train": {

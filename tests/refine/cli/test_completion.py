@@ -52,7 +52,7 @@ def program(shell: str) -> str:
 
 CASES = [
     ("refine comp", {"compose", "completion"}),
-    ("refine data ", {"import", "benchmark", "inspect"}),
+    ("refine data ", {"import", "benchmark", "inspect", "texts"}),
     ("refine train ", {"mae", "generator", "recogniser"}),
     ("refine train mae ", {"tiny", "small", "plain", "paper"}),
     ("refine completion ", {"bash", "zsh", "fish"}),
