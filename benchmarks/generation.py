@@ -10,13 +10,11 @@ and beside it learning curves and a sheet of compositions, of those runs whose f
 import argparse
 import hashlib
 import json
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 from threading import Lock
 
+from commands import refine
 from generation_curves import draw_runs, thinned
 from generation_sheet import draw_sheet
 
@@ -32,19 +30,6 @@ TRAINING_MAE = Lock()
 RESULTS = Path(__file__).parent / "results"
 CLAIMS = (("with-dr", "without-dr"), ("with-dr", "pretrain-mask"), ("dr-paper", "without-dr"))
 SHOWN = ("pretrain-mask", "without-dr", "with-dr")
-
-
-def refine(*arguments: object):
-    """Run the command line on one thread.
-
-    Raises:
-        RuntimeError: it failed.
-    """
-    command = [sys.executable, "-m", "refine.cli.main", *map(str, arguments)]
-    done = subprocess.run(command, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
-    if done.returncode:
-        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-        raise RuntimeError(f"{' '.join(command)}: {said[-1]}")
 
 
 def one(row: str, seed: int, args: argparse.Namespace) -> Path:

@@ -8,13 +8,12 @@ only draws the table anew, and a sheet of what the rows that are there make of t
 """
 
 import argparse
-import os
-import subprocess
-import sys
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 from threading import Lock
+
+from commands import refine
 
 from renderers.images import contact_sheet, save_png
 from train.checkpoints import replace_file
@@ -89,19 +88,6 @@ TEXTS = (
     ("kick with the left leg", "punch with both arms"),
 )
 LOCKS: dict[Path, Lock] = {}
-
-
-def refine(*arguments: object):
-    """Run the command line on one thread.
-
-    Raises:
-        RuntimeError: it failed.
-    """
-    command = [sys.executable, "-m", "refine.cli.main", *map(str, arguments)]
-    done = subprocess.run(command, env=os.environ | {"OMP_NUM_THREADS": "1"}, capture_output=True, text=True)
-    if done.returncode:
-        said = done.stderr.strip().splitlines() or [f"exit code {done.returncode}"]
-        raise RuntimeError(f"{' '.join(command)}: {said[-1]}")
 
 
 def trained(run: Path, *arguments: object) -> Path:

@@ -12,6 +12,7 @@ import platform
 import shlex
 import subprocess
 import sys
+from collections.abc import Callable
 from importlib import metadata
 from pathlib import Path
 from typing import Any
@@ -21,7 +22,7 @@ from safetensors.torch import save
 from torch import Tensor, nn
 
 from refine.formats.untrusted import read_json
-from refine.formats.weights import read_safetensors
+from refine.formats.weights import check_network, read_safetensors
 from refine.motion import Motion
 from renderers.checks import UserError
 from renderers.outputs import replacing
@@ -82,6 +83,38 @@ def read_weights(path: Path, kind: str) -> tuple[dict[str, Tensor], dict[str, An
         raise UserError(path, "no such file", again)
     tensors, _ = read_safetensors(path, again)
     return {name: value.float() for name, value in tensors.items()}, description
+
+
+def weights_of(path: str | Path) -> Path:
+    """The best weights of a run folder, or the file that is given."""
+    path = Path(path)
+    return path / "best.safetensors" if path.is_dir() else path
+
+
+def load_network(
+    path: str | Path, kind: str, build: Callable[[dict[str, Any]], Any], blocks: Callable[[dict[str, Any]], int]
+) -> Any:
+    """The network that a description describes, with the weights beside it, in evaluation mode.
+
+    Args:
+        path: see ``weights_of``.
+        build: makes the network from what is stored of its configuration.
+        blocks: how many repeated parts that has, each with a tensor at least.
+
+    Raises:
+        UserError: missing or damaged files, or the weights of something else.
+    """
+    path = weights_of(path)
+    tensors, description = read_weights(path, kind)
+    try:
+        stored = description["config"]
+        check_network(path, lambda: build(stored), blocks(stored), tensors, "train it again")
+        network = build(stored)
+        network.load_state_dict(tensors)
+    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
+        reason = str(error).splitlines()[0]
+        raise UserError(path, f"does not fit its description ({reason})", "train it again") from error
+    return network.eval().requires_grad_(False)
 
 
 def save_state(path: Path, model: nn.Module, optimiser: torch.optim.Optimizer, progress: dict[str, Any]):

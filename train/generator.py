@@ -5,19 +5,19 @@ import sys
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import torch
 from torch import Tensor
 
 from refine.coupling import couple_features
 from refine.decoupling import Decoupler
-from refine.formats.weights import check_network
 from refine.generator import Generator, GeneratorConfig, label_weights
 from refine.mae import load_mae
 from renderers.body import Body
 from renderers.checks import UserError
 from renderers.skeleton import PART_NAMES
-from train.checkpoints import hash_motions, hash_tensors, provenance, read_weights
+from train.checkpoints import hash_motions, hash_tensors, load_network, provenance
 from train.config import GeneratorTraining
 from train.data import ClipStore, Draw, Pairs, draw_batch, draw_windows, index_pairs, open_source, pair_labels, split
 from train.loop import check_device, check_folder, check_loop, fit, open_run, seed_of
@@ -299,17 +299,9 @@ def load_generator(path: str | Path) -> Generator:
     Raises:
         UserError: missing or damaged files, or the weights of something else.
     """
-    path = Path(path)
-    path = path / "best.safetensors" if path.is_dir() else path
-    tensors, description = read_weights(path, "generator")
-    try:
-        stored = description["config"]
-        stored |= {"classes": tuple(stored["classes"]), "pairs": tuple(map(tuple, stored.get("pairs", ())))}
-        config = GeneratorConfig(**stored)
-        check_network(path, lambda: Generator(config), config.layers, tensors, "train it again")
-        generator = Generator(config)
-        generator.load_state_dict(tensors)
-    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(path, f"does not fit its description ({reason})", "train it again") from error
-    return generator.eval().requires_grad_(False)
+
+    def build(stored: dict[str, Any]) -> Generator:
+        pairs = tuple(map(tuple, stored.get("pairs", ())))
+        return Generator(GeneratorConfig(**stored | {"classes": tuple(stored["classes"]), "pairs": pairs}))
+
+    return load_network(path, "generator", build, lambda stored: stored["layers"])

@@ -1,18 +1,14 @@
 """Trained text-to-motion models from disk."""
 
-from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
-from torch import nn
-
 from refine.formats.untrusted import read_json
-from refine.formats.weights import check_network
 from refine.text.diffusion import DiffusionConfig, LatentDiffusion, LatentDiffusionConfig
 from refine.text.encoder import TextEncoder, load_encoder
 from refine.text.model import TextToMotion, TextToMotionConfig
 from renderers.checks import UserError
-from train.checkpoints import read_weights
+from train.checkpoints import load_network, weights_of
 
 TextModel = TextToMotion | LatentDiffusion
 """What makes motions of texts."""
@@ -28,7 +24,11 @@ def load_text_to_motion(path: str | Path, kind: str = "text") -> TextToMotion:
     Raises:
         UserError: missing or damaged files, or the weights of something else.
     """
-    return load_network(path, kind, lambda stored: TextToMotion(TextToMotionConfig(**stored)))
+
+    def build(stored: dict[str, Any]) -> TextToMotion:
+        return TextToMotion(TextToMotionConfig(**stored))
+
+    return load_network(path, kind, build, lambda stored: stored["layers"])
 
 
 def load_diffusion(path: str | Path) -> LatentDiffusion:
@@ -38,7 +38,10 @@ def load_diffusion(path: str | Path) -> LatentDiffusion:
         motion, denoiser = TextToMotionConfig(**stored["motion"]), DiffusionConfig(**stored["denoiser"])
         return LatentDiffusion(LatentDiffusionConfig(motion=motion, denoiser=denoiser))
 
-    return load_network(path, "text-diffusion", build)
+    def blocks(stored: dict[str, Any]) -> int:
+        return stored["motion"]["layers"] + stored["denoiser"]["layers"]
+
+    return load_network(path, "text-diffusion", build, blocks)
 
 
 def load_text_model(path: str | Path) -> TextModel:
@@ -47,27 +50,6 @@ def load_text_model(path: str | Path) -> TextModel:
     found = read_json(described, finite=False) if described.is_file() else {}
     diffusion = isinstance(found, dict) and found.get("kind") == "text-diffusion"
     return load_diffusion(path) if diffusion else load_text_to_motion(path)
-
-
-def weights_of(path: str | Path) -> Path:
-    path = Path(path)
-    return path / "best.safetensors" if path.is_dir() else path
-
-
-def load_network(path: str | Path, kind: str, build: Callable[[dict[str, Any]], nn.Module]) -> Any:
-    """The network that a description describes, with the weights beside it."""
-    path = weights_of(path)
-    tensors, description = read_weights(path, kind)
-    try:
-        stored = description["config"]
-        layers = stored["layers"] if "layers" in stored else stored["motion"]["layers"] + stored["denoiser"]["layers"]
-        check_network(path, lambda: build(stored), layers, tensors, "train it again")
-        model = build(stored)
-        model.load_state_dict(tensors)
-    except (KeyError, TypeError, AttributeError, RuntimeError) as error:
-        reason = str(error).splitlines()[0]
-        raise UserError(path, f"does not fit its description ({reason})", "train it again") from error
-    return model.eval().requires_grad_(False)
 
 
 def encoder_of(model: TextModel, folder: Path | None = None) -> TextEncoder:
