@@ -53,7 +53,7 @@ def program(shell: str) -> str:
 CASES = [
     ("refine comp", {"compose", "completion"}),
     ("refine data ", {"import", "benchmark", "inspect", "texts"}),
-    ("refine train ", {"mae", "generator", "recogniser"}),
+    ("refine train ", {"mae", "generator", "recogniser", "text", "text-scorer", "text-diffusion"}),
     ("refine train mae ", {"tiny", "small", "plain", "paper"}),
     ("refine completion ", {"bash", "zsh", "fish"}),
     ("refine compose w", {"walk", "wave-left-hand", "wild.bvh"}),
