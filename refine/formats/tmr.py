@@ -234,7 +234,6 @@ def _index(path: Path) -> dict[str, tuple[str, float, float | None]]:
         for row in table:
             source, first, last, name = (row[column] or "" for column in COLUMNS)
             source = source.removeprefix("./").removeprefix("pose_data/").removesuffix(".npy")
-            source = source.replace("humanact12/humanact12/", "humanact12/")
             lead = next((seconds for subset, seconds in LEAD_IN.items() if subset in source), 0.0)
             start, end = lead + int(first) / INDEX_FPS, lead + int(last) / INDEX_FPS
             index[name.removesuffix(".npy")] = source, start, end if int(last) >= 0 else None

@@ -161,7 +161,16 @@ def test_extra_labels_of_several_people(load):
 
 
 def test_bad_annotations_are_named_and_the_rest_is_read(load):
-    bad = entry(frames=[("walk", 0.0, 4.0), ("hop", 2.0, 1.0), ("sit", "0", 1.0), ("nod", -1.0, 1.0), (3, 0.0, 1.0)])
+    bad = entry(
+        frames=[
+            ("walk", 0.0, 4.0),
+            ("hop", 2.0, 1.0),
+            ("sit", "0", 1.0),
+            ("nod", -1.0, 1.0),
+            (3, 0.0, 1.0),
+            ("now", 1, 1),
+        ]
+    )
     entries = {
         "1": bad,
         "2": "nothing",
@@ -183,7 +192,11 @@ def test_bad_annotations_are_named_and_the_rest_is_read(load):
         "label 4: has no",
     ]
     named += ["motion 2: is no annotation", "'../../etc/passwd", "motion 4: names no motion", "motion 5: has frame_ann"]
-    named += ["motion 8: has no proc_label", "motion 9: has 1,001 labels"]
+    named += [
+        "label 5: 'now' ends at 1 s, where it starts",
+        "motion 8: has no proc_label",
+        "motion 9: has 1,001 labels",
+    ]
     named += ["motion files that are not there: 2 (CMU/CMU/02/02_01_poses.npz, ACCAD/ACCAD/x_poses.npz)"]
     assert [line for line in named if not any(line.strip("'") in one for one in left_out)] == []
     assert len(left_out) == len(named)
@@ -290,13 +303,27 @@ def test_without_between_rounds_as_published(tmp_path):
     assert ((smooth.root[1, 0] - smooth.root[0, 0]) * 250).item() == pytest.approx(25 / 3, abs=1e-3)
 
 
+def test_the_published_frames_can_be_asked_for(load, tmp_path):
+    amass(tmp_path / "amass" / "CMU" / "02" / "fast_poses.npz", frames=365, fps=250.0)
+    one = {"1": entry(feat_p="CMU/CMU/02/fast_poses.npz")}
+    steps = {legacy: load(one, nearest_lower=legacy)[0]["seq-1-0"].motion.root[:2, 0] * 250 for legacy in (True, False)}
+    assert {legacy: round((b - a).item(), 2) for legacy, (a, b) in steps.items()} == {True: 8.0, False: 8.33}
+
+
 def test_what_is_evaluated_is_two_actions_that_nothing_learned_shows_together():
     motion = Motion(torch.eye(3).expand(2, 24, 3, 3), torch.zeros(2, 3), 30.0)
 
     def described(*phrasings):
         return [Described(motion, tuple(one), str(n)) for n, one in enumerate(phrasings)]
 
-    learned = described([("walk", "wave")], [("sit",)], [("nod", "talk", "sit")], [("turn", "run"), ("spin", "jog")])
+    learned = described(
+        [("walk", "wave")],
+        [("sit",)],
+        [("nod", "talk", "sit")],
+        [("turn", "run"), ("spin", "jog")],
+        [("dance",)],
+        [("hop", "clap", "hop")],
+    )
     tested = described(
         [("wave", "walk")],  # known in the other order
         [("walk", "sit")],
@@ -307,6 +334,7 @@ def test_what_is_evaluated_is_two_actions_that_nothing_learned_shows_together():
         [("walk", "wave", "nod")],
         [("jog", "spin")],  # in other words
         [("dance", "dance")],
+        [("hop", "clap")],  # known only as three
     )
-    assert [item.key for item in unseen_pairs(tested, learned)] == ["1", "3", "4", "8"]
+    assert [item.key for item in unseen_pairs(tested, learned)] == ["1", "3", "4", "8", "9"]
     assert unseen_pairs([], learned) == []

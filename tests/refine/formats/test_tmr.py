@@ -121,7 +121,7 @@ def test_bad_annotations_are_named_and_the_rest_is_read(tmr):
         "3": [],
         "4": {"path": "../../secret", "annotations": [said("a")]},
         "5": {"path": "KIT/9/none_poses", "annotations": [said("a")]},
-        "6": {"path": KICK, "annotations": [said("late", 30, 34)]},
+        "6": {"path": KICK, "annotations": [said("late", 30, 34), said("no time", 1, 1.04)]},
         "7": {"path": "humanact12/P1", "annotations": [said("a")]},
     }
     items, left_out = tmr(entries, names=[*entries, "8", "1"])
@@ -132,7 +132,7 @@ def test_bad_annotations_are_named_and_the_rest_is_read(tmr):
         "2: has no path and annotations",
         "3: has no path and",
         "'../../secret",
-        "less than two frames of their motion: 1",
+        "less than two frames of their motion: 2",
     ]
     expected += ["not there: 2 (KIT/9/none_poses, humanact12/P1)", "names in the split that have no annotation: 1"]
     assert [line for line in expected if not any(line.strip("'") in one for one in left_out)] == []
@@ -190,6 +190,11 @@ def test_humanml3d_as_it_is_published(humanml3d):
     found = {key: seconds(items[key]) for key in expected}
     assert found == {key: pytest.approx(value, abs=1 / 29) for key, value in expected.items()}
     assert items["M000000"].motion.root[-1, 0] < -5 and left_out == []
+
+
+def test_humanml3d_takes_a_time_that_is_no_number_for_zero(humanml3d):
+    items, _ = humanml3d({"000000": "a#x#3.0#nan\nb#x#nan#2.0\n"}, "test")
+    assert {key: seconds(item) for key, item in items.items()} == {"000000": [0, 3], "000000-1": [0, 2]}
 
 
 def test_lines_of_humanml3d_that_are_none_are_named(humanml3d):
