@@ -1,6 +1,6 @@
 """SINC's experiment whole: train every row of its tables, measure it, and write what was found.
 
-    python benchmarks/text.py --seeds 0 1 2
+    python benchmarks/text.py --preset sinc --seeds 0 1 2
 
 Trains the scorer, then each row with each seed by the commands that a user would type (they are in the results), two
 at a time on one thread each; what is already there is not run again, and a run that was stopped goes on. ``--table``
@@ -107,12 +107,12 @@ def one(name: str, seed: int, args: argparse.Namespace) -> Path:
     source = ("--data.source", args.source, "--seed", seed)
 
     def text_run(row: Row) -> Path:
-        folder = args.runs / f"{row.run}-{seed}"
+        folder = args.runs / f"{args.preset}-{row.run}-{seed}"
         return trained(folder, "text", args.preset, *source, *row.training, *args.flags)
 
     if row.diffusion:
-        start, folder = text_run(ROWS["single actions"]), args.runs / f"{row.run}-{seed}"
-        run = trained(folder, "text-diffusion", args.preset, "--start", start, *source, *row.training)
+        start, folder = text_run(ROWS["single actions"]), args.runs / f"{args.preset}-{row.run}-{seed}"
+        run = trained(folder, "text-diffusion", other(args.preset), "--start", start, *source, *row.training)
     else:
         run = text_run(row)
     refine("evaluate", run, "--scorer", args.runs / "scorer", "--row", name, "--actions", args.actions, *row.measuring,
@@ -120,6 +120,11 @@ def one(name: str, seed: int, args: argparse.Namespace) -> Path:
     found.with_suffix(".md").unlink()  # the table of all rows says the same
     print(found, flush=True)
     return found
+
+
+def other(preset: str) -> str:
+    """The preset of the scorer and of diffusion that goes with one of text to motion."""
+    return "small" if preset == "sinc" else preset
 
 
 def rows_of(args: argparse.Namespace) -> dict[str, Row]:
@@ -157,7 +162,7 @@ def draw(args: argparse.Namespace):
 
     body, rows = Body.free("light"), []
     for name in SHOWN:
-        run = args.runs / f"{ROWS[name].run}-{args.seeds[0]}"
+        run = args.runs / f"{args.preset}-{ROWS[name].run}-{args.seeds[0]}"
         if (run / "done").exists():
             model = load_text_model(run / "last.safetensors")
             frames = [45] * len(TEXTS)
@@ -183,7 +188,7 @@ def main() -> None:
     args = parser.parse_args()
     if not args.table:
         place(args).mkdir(parents=True, exist_ok=True)
-        trained(args.runs / "scorer", "text-scorer", args.preset, "--data.source", args.source)
+        trained(args.runs / "scorer", "text-scorer", other(args.preset), "--data.source", args.source)
         tasks = [(row, seed) for seed in args.seeds for row in args.rows or rows_of(args)]
         with ThreadPoolExecutor(args.workers) as pool:
             for waiting in [pool.submit(one, *task, args) for task in tasks]:

@@ -22,7 +22,9 @@ SMALL_LOOP = LoopConfig(
     log_every=10,
     save_every=500,
 )
-SMALL_LOSS = TextLoss(kl=1e-4)
+# As in a variational autoencoder whose prior is the text's: what is drawn moves, at the price of some error.
+SMALL_LOSS = TextLoss(text=0.0, kl=5e-4, prior="learned", latent=0.0)
+SINC_LOSS = TextLoss(kl=1e-4)
 # 500 epochs of BABEL's 25,000 single actions and 2,500 pairs, 64 at a time.
 PAPER_LOOP = LoopConfig(steps=215_000, learning_rate=3e-4, log_every=50, save_every=5000)
 

@@ -10,7 +10,7 @@ from torch.nn.functional import smooth_l1_loss
 
 from refine.text.features import from_text_features
 from refine.text.model import Distribution, TextToMotion
-from renderers.checks import check_range
+from renderers.checks import UserError, check_range
 from renderers.skeleton import forward_kinematics
 
 
@@ -24,6 +24,10 @@ class TextLoss:
     """Of the motion that is decoded from itself."""
     kl: float = 32e-5
     """Of each of four KL terms: text and motion from N(0, 1) and from each other. TEMOS has 1e-5."""
+    prior: Literal["matched", "learned"] = "matched"
+    """Which KL terms there are: all four, as published; or only that of the motion from the text. A text is then as
+    wide as the motions that it may mean, and what is drawn from it moves. The published terms and ``text`` make the
+    mean of all of these of it, which glides."""
     latent: float = 1e-5
     """Of the distance of the two latents."""
     joints: float = 0.0
@@ -40,6 +44,10 @@ class TextLoss:
 
     def __post_init__(self):
         check_range(self, 0, math.inf, "text", "motion", "kl", "latent", "joints", "contrastive")
+        if not self.text and not self.motion:
+            raise UserError(
+                "TextLoss", "neither what is decoded from texts nor from motions counts", "weigh one of them"
+            )
         check_range(self, 1e-3, 10, "temperature")
         check_range(self, -1, 1, "alike")
 
@@ -85,30 +93,32 @@ def text_step(
         sentences: [B E], for the contrastive term.
 
     Returns:
-        scalars ``text``, ``motion``, ``kl``, ``latent``, where they have weight ``joints`` and ``contrastive`` (each
-        unweighted), and ``total``.
+        scalars ``text``, ``motion``, ``kl``, ``latent``, ``joints`` and ``contrastive`` (each unweighted, those of
+        weight 0 absent but ``kl``), and ``total``.
     """
-    motion = model.encode_motion(features, valid)
-    latents = [said.draw(drawn) for said, drawn in zip((text, motion), noise, strict=True)]
-    made = [model.decode(latent, valid) for latent in latents]
+    said = {"text": text, "motion": model.encode_motion(features, valid)}
+    latents = {name: each.draw(drawn) for (name, each), drawn in zip(said.items(), noise, strict=True)}
+    made = {name: model.decode(latent, valid) for name, latent in latents.items() if getattr(loss, name)}
     count = valid.numel() if loss.padding == "legacy" else int(valid.sum())
     target = model.normal(features)[valid]
-    errors = [
-        smooth_l1_loss(model.normal(each)[valid], target, reduction="sum") / (count * target.shape[-1]) for each in made
-    ]
-    standard = Distribution(torch.zeros_like(text.mean), torch.zeros_like(text.log_variance))
-    pairs = ((text, standard), (motion, standard), (text, motion), (motion, text))
     terms = {
-        "text": errors[0],
-        "motion": errors[1],
-        "kl": sum(kl_between(*pair) for pair in pairs),
-        "latent": smooth_l1_loss(*latents),
+        name: smooth_l1_loss(model.normal(each)[valid], target, reduction="sum") / (count * target.shape[-1])
+        for name, each in made.items()
     }
+    pairs = [(said["motion"], text)]
+    if loss.prior == "matched":
+        standard = Distribution(torch.zeros_like(text.mean), torch.zeros_like(text.log_variance))
+        pairs += [(text, standard), (said["motion"], standard), (text, said["motion"])]
+    terms["kl"] = sum(kl_between(*pair) for pair in pairs)
+    if loss.latent:
+        terms["latent"] = smooth_l1_loss(*latents.values())
     if loss.joints:
         truth = positions_of(features, valid, rest_joints)
-        terms["joints"] = sum((positions_of(each, valid, rest_joints) - truth).square().mean() for each in made)
+        errors = [(positions_of(each, valid, rest_joints) - truth).square().mean() for each in made.values()]
+        terms["joints"] = sum(errors)
     if loss.contrastive and sentences is not None:
-        terms["contrastive"] = contrast(text.mean, motion.mean, sentences, loss.temperature, loss.alike)
+        means = [each.mean for each in said.values()]
+        terms["contrastive"] = contrast(*means, sentences, loss.temperature, loss.alike)
     return terms | {"total": sum(getattr(loss, name) * value for name, value in terms.items())}
 
 

@@ -7,6 +7,7 @@ from torch.nn.functional import smooth_l1_loss
 
 from refine.text.model import Distribution, TextToMotion, TextToMotionConfig
 from renderers.body import Body
+from renderers.checks import UserError
 from train.text_data import batch_of
 from train.text_steps import TextLoss, contrast, kl_between, positions_of, text_step
 
@@ -72,6 +73,25 @@ def test_terms_of_a_batch(batch):
     expected = masked["text"] + masked["motion"] + loss.kl * masked["kl"] + loss.latent * masked["latent"]
     torch.testing.assert_close(masked["total"], expected + 2 * masked["joints"])
     assert "joints" not in legacy and "contrastive" not in legacy
+
+
+def test_a_learned_prior_lets_texts_be_wide(batch):
+    torch.manual_seed(0)
+    model = TextToMotion(CONFIG).eval()
+    text = Distribution(*(value.float() for value in distribution(3, 2)))
+    noise = torch.zeros(2, 2, 16)
+    arguments = (batch.features, batch.valid, text, model, noise)
+    rest_joints = Body.free("light").rest_joints
+    found = text_step(*arguments, TextLoss(text=0.0, latent=0.0, prior="learned"), rest_joints)
+    assert set(found) == {"motion", "kl", "total"}
+    motion = model.encode_motion(batch.features, batch.valid)
+    torch.testing.assert_close(found["kl"], kl_between(motion, text))
+    matched = text_step(*arguments, TextLoss(), rest_joints)
+    standard = Distribution(torch.zeros(2, 16), torch.zeros(2, 16))
+    others = kl_between(text, motion) + kl_between(text, standard) + kl_between(motion, standard)
+    torch.testing.assert_close(matched["kl"], found["kl"] + others)
+    with pytest.raises(UserError, match="weigh one of them"):
+        TextLoss(text=0.0, motion=0.0)
 
 
 def test_positions_are_over_real_frames_and_do_not_travel(batch):
