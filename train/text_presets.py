@@ -95,7 +95,7 @@ DIFFUSION_PRESETS: dict[str, tuple[str, DiffusionTraining]] = {
         "For trying things out: a minute on one core.",
         DiffusionTraining(
             data=replace(SMALL_DATA, builtin_clips=6),
-            network=DiffusionConfig(feedforward=256, layers=5, dropout=0.0),
+            network=DiffusionConfig(feedforward=256, layers=5, dropout=0.0, guidance=2.5),
             loop=replace(SMALL_LOOP, steps=400, warmup=20, save_every=200),
             measured=64,
         ),
@@ -104,7 +104,7 @@ DIFFUSION_PRESETS: dict[str, tuple[str, DiffusionTraining]] = {
         "A few dozen actions: five minutes on one core.",
         DiffusionTraining(
             data=SMALL_DATA,
-            network=DiffusionConfig(feedforward=256, layers=5, dropout=0.0),
+            network=DiffusionConfig(feedforward=256, layers=5, dropout=0.0, guidance=2.5),
             loop=replace(SMALL_LOOP, steps=3000),
             batch=16,
         ),
