@@ -147,7 +147,7 @@ def tabulate(args: argparse.Namespace) -> str:
     evaluations: list[Evaluation] = sorted(found, key=lambda each: (order.index(each.row), each.seed))
     rows = {each.row for each in evaluations}
     parts = [comparison_table(evaluations)]
-    parts += [contrast_table(evaluations, *claim, paired=True) for claim in CLAIMS if rows.issuperset(claim)]
+    parts += [contrast_table(evaluations, *claim) for claim in CLAIMS if rows.issuperset(claim)]
     return "\n".join(parts)
 
 
@@ -160,16 +160,17 @@ def draw(args: argparse.Namespace):
     from renderers.body import Body
     from train.text_models import encoder_of, load_text_model
 
-    body, rows = Body.free("light"), []
+    body, rows, captions = Body.free("light"), [], []
     for name in SHOWN:
         run = args.runs / f"{args.preset}-{ROWS[name].run}-{args.seeds[0]}"
         if (run / "done").exists():
             model = load_text_model(run / "last.safetensors")
             frames = [45] * len(TEXTS)
             made = generate_described(model, encoder_of(model), TEXTS, frames, torch.Generator().manual_seed(0))
-            rows += [[picture] for picture in strip(made, body, height=150)]
+            rows += [[picture] for picture in strip(made, body, height=120)]
+            captions += [f"{name}: {motion.label}" for motion in made]
     if rows:
-        save_png(place(args) / "sheet.png", contact_sheet(rows))
+        save_png(place(args) / "sheet.png", contact_sheet(rows, captions))
 
 
 def main() -> None:
