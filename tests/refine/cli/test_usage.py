@@ -52,7 +52,10 @@ def said_by_help(words: list[str], capsys) -> str:
         ("compose walk squat -o a.bvh --seed", "compose: Missing value for argument '--seed'"),
         ("compose walk squat -o a.bvh --seed two", "compose: Error parsing --seed: invalid literal"),
         ("render walk -o a.png --style shiny", "render: invalid choice 'shiny'"),
-        ("train", "train: Expected one of {mae, generator, recogniser, text, text-scorer, text-diffusion}; see `refine train --help`"),
+        (
+            "train",
+            "train: Expected one of {mae, generator, recogniser, text, text-scorer, text-diffusion}; see",
+        ),
         ("", "command line: Expected one of {demo, compose"),
     ],
 )
