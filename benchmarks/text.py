@@ -147,7 +147,8 @@ def tabulate(args: argparse.Namespace) -> str:
     evaluations: list[Evaluation] = sorted(found, key=lambda each: (order.index(each.row), each.seed))
     rows = {each.row for each in evaluations}
     parts = [comparison_table(evaluations)]
-    parts += [contrast_table(evaluations, *claim) for claim in CLAIMS if rows.issuperset(claim)]
+    paired = args.refining  # refined or not, they are motions of the same models
+    parts += [contrast_table(evaluations, *claim, paired) for claim in CLAIMS if rows.issuperset(claim)]
     return "\n".join(parts)
 
 
